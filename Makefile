@@ -2,10 +2,11 @@
 VENV := .venv
 BIN := $(VENV)/bin
 RESULTS := results
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
-UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
-# uv takes a third of pip's time; where it is not to be had, or fails, pip goes on
-install = { test -x $(BIN)/uv && $(UV) $(1); } || $(PIP) $(1)
+# exact versions with hashes, of all Pythons; what newer releases break is found by `make pythons`
+LOCK := .ci/lock.txt
+COMMA := ,
+install = $(BIN)/uv pip install --quiet --python $(BIN)/python --constraints $(LOCK) \
+	--build-constraints $(LOCK) --editable '.[$(1)]'
 
 # the newest Python that works: it may be a stub, too old, or without venv and pip
 PYTHON := $(shell for python in python3.13 python3.12 python3.11 python3; do \
@@ -18,7 +19,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv test pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
+.PHONY: help venv lock test test-all pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
 	format types layers docs readme clean
 
 help:  ## this list
@@ -27,31 +28,41 @@ help:  ## this list
 $(VENV)/.made:
 	@test -n "$(PYTHON)" || { echo "needs Python >= 3.11 with venv and ensurepip" >&2; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV)
-	-$(PIP) uv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile uv
 	@touch $@
 
-$(VENV)/.trade: $(VENV)/.made pyproject.toml
-	$(call install,--editable '.[trade]')
+$(VENV)/.trade: $(VENV)/.made pyproject.toml $(LOCK)
+	$(call install,plot$(COMMA)progress)
 	@touch $@
 
 $(VENV)/.leaderboard: $(VENV)/.made pyproject.toml
-	$(call install,--editable '.[leaderboard]')
+	$(call install,leaderboard)
 	@touch $@
 
-$(VENV)/.test: $(VENV)/.made pyproject.toml
-	$(call install,--editable '.[test]')
+$(VENV)/.test: $(VENV)/.made pyproject.toml $(LOCK)
+	$(call install,test)
 	@touch $@ $(VENV)/.trade
 
 $(VENV)/.lint: $(VENV)/.test
-	$(call install,--editable '.[lint]')
+	$(call install,lint)
 	@touch $@
+
+lock: $(VENV)/.made  ## renew the exact versions that all targets install: .ci/lock.txt
+	echo hatchling | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
+		--generate-hashes --no-header --no-annotate --extra test --extra lint pyproject.toml - \
+		-o $(LOCK)
 
 venv: $(VENV)/.lint  ## the environment of all other targets, in .venv
 
-test: $(VENV)/.test  ## the tests, the README's examples among them
-	@# to rewrite all assertions takes ten seconds: what fails runs again, and tells its values
-	$(BIN)/pytest -n auto --dist worksteal -p no:benchmark --assert=plain \
-		|| { $(BIN)/pytest --last-failed --last-failed-no-failures none -p no:benchmark; exit 1; }
+# to rewrite all assertions takes ten seconds: what fails runs again, and tells its values
+tests = $(BIN)/pytest -n auto --dist worksteal -p no:benchmark --assert=plain $(1) \
+	|| { $(BIN)/pytest --last-failed --last-failed-no-failures none -p no:benchmark; exit 1; }
+
+test: $(VENV)/.test  ## the tests, the README's and the tutorial's examples among them
+	$(call tests,-m "not slow")
+
+test-all: $(VENV)/.test  ## the tests, the examples of all pages and the benches, small
+	$(call tests)
 
 pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and with the lowest Numba and NumPy
 	.ci/pythons
@@ -62,7 +73,7 @@ commands: $(VENV)/.test  ## every command that a page names, small, some minutes
 readme: $(VENV)/.test  ## the README's examples only
 	$(BIN)/pytest tests/test_readme.py
 
-trade: $(VENV)/.trade  ## every method on the default scene: table, picture and CSV in results/
+trade: $(VENV)/.trade  ## speed, error and drift of every method, two minutes: results/summary.md
 	$(BIN)/fastatt trade --out $(RESULTS) $(if $(FASTATT_SMOKE),--quick)
 
 bench: $(VENV)/.test  ## speed and error, side by side with other libraries
@@ -72,7 +83,7 @@ leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 9 minut
 	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench --pictures fastatt/docs/pictures
 
 extremes: $(VENV)/.test  ## every method at the extremes, a minute: bench/EXTREMES.md
-	PYTHONPATH=tests $(BIN)/python -m extremes $(if $(FASTATT_SMOKE),--quick,--long)
+	PYTHONPATH=tests $(BIN)/python bench/extremes_page.py $(if $(FASTATT_SMOKE),--quick,--long)
 
 cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md
 	$(BIN)/python bench/cases.py
@@ -81,11 +92,9 @@ scale: $(VENV)/.test  ## cost against bodies, steps and threads, a minute: bench
 	$(BIN)/python bench/scale.py $(if $(FASTATT_SMOKE),--small)
 
 pictures: $(VENV)/.test  ## the pages' pictures, five minutes: fastatt/docs/pictures
-	$(BIN)/fastatt trade --scene coning --scene free --scene top --scene torqued --out $(RESULTS) \
-		$(if $(FASTATT_SMOKE),--quick)
-	cp $(RESULTS)/trade.png $(RESULTS)/bodies.png fastatt/docs/pictures
+	$(BIN)/fastatt trade --out $(RESULTS) $(if $(FASTATT_SMOKE),--quick)
+	cp $(addprefix $(RESULTS)/,error-coning.png error-free.png drift-free.png) fastatt/docs/pictures
 	$(BIN)/python bench/polhodes.py
-	$(BIN)/python bench/tumbling.py
 	$(BIN)/python bench/leaderboard_picture.py
 	$(BIN)/python bench/work_precision.py --draw
 

@@ -182,7 +182,7 @@ def test_million_bodies(benchmark, method):
     torque = fa.torques.Sum(
         (
             fa.torques.GravityGradient(generator.uniform(0.9e-3, 1.1e-3, n)),
-            fa.torques.Damping(generator.uniform(0.0, 1e-3, n)),
+            fa.torques.Damping(generator.uniform(0.0, 1e-3, (n, 1))),
         )
     )
     scene = fa.Scene(inertia=generator.uniform(1.0, 1.5, (n, 3)), torque=torque)

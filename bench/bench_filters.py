@@ -1,4 +1,4 @@
-"""Filters: an MEKF's predict both ways, sigma points and particles beside a plain ensemble run."""
+"""Filters: an MEKF's predict both ways, and sigma points beside a plain ensemble run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from fastatt import estimation as es
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 LOOP = 1000 if SMOKE else 100_000
-PARTICLES = 2_000 if SMOKE else 1_000_000
 FILTERS = 200 if SMOKE else 20_000
 ROUNDS = 1 if SMOKE else 5
 H = 0.01
@@ -147,11 +146,6 @@ def plain_bodies(q: np.ndarray, w: np.ndarray, n_steps: int) -> np.ndarray:
     return fa.propagate(SCENE, q, w, dt=H, n_steps=n_steps, method=METHOD).q[-1]
 
 
-def plain_rates(q: np.ndarray, w: np.ndarray) -> np.ndarray:
-    scene = fa.Scene(rate=fa.rates.Constant(w))
-    return fa.propagate(scene, q, dt=H, n_steps=1, method="lie_euler").q[-1]
-
-
 @pytest.mark.benchmark(group="UKF: sigma points through the engine")
 @pytest.mark.parametrize("n_steps", [20, 100])
 def test_sigma_points_of_bodies(benchmark, n_steps):
@@ -173,56 +167,3 @@ def test_sigma_points_of_bodies(benchmark, n_steps):
     benchmark.extra_info["whole predict: speed of plain"] = round(in_turn(plain, whole), 3)
     apart = fa.angle_between(motion(q, y)[0], plain())
     benchmark.extra_info["difference, rad"] = float(np.max(apart))
-
-
-@pytest.mark.benchmark(group="particles through the engine")
-@pytest.mark.parametrize("n_steps", [20, 100])
-def test_particles_of_bodies(benchmark, n_steps):
-    """10⁶ particles of a body without gyro, with process noise, between two fixes."""
-    q, w = bodies(PARTICLES)
-    filtered = es.ParticleFilter(q, w, rng=1)
-    motion = es.scene_motion(SCENE, H, n_steps, method=METHOD)
-
-    def whole() -> None:
-        filtered.q, filtered.y = q, w
-        filtered.predict(motion, 1e-8 * P0)
-
-    def plain() -> np.ndarray:
-        return plain_bodies(q, w, n_steps)
-
-    whole()
-    benchmark.pedantic(motion, args=(q, w), rounds=ROUNDS, warmup_rounds=1)
-    benchmark.extra_info["motion: speed of plain"] = round(in_turn(plain, lambda: motion(q, w)), 3)
-    benchmark.extra_info["whole predict: speed of plain"] = round(in_turn(plain, whole), 3)
-    apart = fa.angle_between(motion(q, w)[0], plain())
-    benchmark.extra_info["difference, rad"] = float(np.max(apart))
-
-
-@pytest.mark.benchmark(group="particles with a gyro: one sample")
-@pytest.mark.parametrize("how", ["motion", "plain", "numpy"])
-def test_particles_with_a_gyro(benchmark, how):
-    q, _ = bodies(PARTICLES)
-    bias = np.random.default_rng(3).normal(0.0, 1e-3, (PARTICLES, 3))
-    motion = es.gyro_motion(GYRO, H)
-    rates = GYRO - bias
-
-    def in_numpy() -> np.ndarray:
-        u = H * (GYRO - bias)
-        angle = np.sqrt((u * u).sum(axis=1))
-        c, s = np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi)
-        p, v, d = q[:, :1], q[:, 1:], s[:, None] * u
-        scalar = p[:, 0] * c - (v * d).sum(axis=1)
-        return np.column_stack([scalar, p * d + c[:, None] * v + np.cross(v, d)])
-
-    call = {
-        "motion": lambda: motion(q, bias)[0],
-        "plain": lambda: plain_rates(q, rates),
-        "numpy": in_numpy,
-    }[how]
-    found = benchmark.pedantic(call, rounds=ROUNDS, warmup_rounds=1)
-    benchmark.extra_info["difference, rad"] = float(
-        fa.angle_between(found, plain_rates(q, rates)).max()
-    )
-    if how == "motion":
-        ratio = in_turn(lambda: plain_rates(q, rates), call)
-        benchmark.extra_info["speed of plain"] = round(ratio, 3)

@@ -1,4 +1,4 @@
-"""Log files: parsed, read whole, and integrated to files of attitudes, beside pandas."""
+"""Log files: read, and integrated to files of attitudes, beside pandas."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 import fastatt as fa
-from fastatt.logs.attitudes import attitude_file, attitude_rows
-from fastatt.logs.text import Text, opened
+from fastatt.logs.attitudes import attitude_rows, write_attitudes
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 ROWS = 20_000 if SMOKE else 5_000_000
@@ -27,16 +26,9 @@ def log(tmp_path_factory):
     return path
 
 
-def parsed(path: Path) -> int:
-    """Numbers, of which nothing is done."""
-    with opened(path) as (name, stream):
-        table = Text(name, stream, None)
-        return len(table.read([1, 2, 3], [0], numbers=3, strict=True)[0])
-
-
 def integrated(path: Path, suffix: str) -> int:
     rows = attitude_rows(fa.read_gyro_log(path), (1.0, 0.0, 0.0, 0.0), "previous")
-    attitude_file(path.with_suffix(suffix))(rows)
+    write_attitudes(path.with_suffix(suffix), rows)
     return len(rows)
 
 
@@ -44,12 +36,11 @@ def integrated(path: Path, suffix: str) -> int:
     "way",
     [
         lambda path: len(pd.read_csv(path)),
-        parsed,
         lambda path: len(fa.read_gyro_log(path).t),
         lambda path: integrated(path, ".npy"),
         lambda path: integrated(path, ".attitudes.csv"),
     ],
-    ids=["pandas.read_csv", "read and parsed", "read_gyro_log", "to attitudes, npy", "and csv"],
+    ids=["pandas.read_csv", "read_gyro_log", "to attitudes, npy", "and csv"],
 )
 def test_log(benchmark, log, way):
     def setup():

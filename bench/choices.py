@@ -19,8 +19,8 @@ BODIES = 20 if SMALL else 200
 SPAN = 10.0  # s of a log
 NOISE = 1e-3  # rad/s of each sample
 STEP = 0.5  # s
-SAMPLED = ("previous", "trapezoid", "coning2", "coning3", "picard")
-STEPPED = ("rk4", "rk8", "gbs16", "strang2", "suzuki4", "kahan_li8", "dmv10")
+SAMPLED = ("previous", "trapezoid", "coning2", "picard")
+STEPPED = ("rk4", "rk8", "gbs16", "strang2", "kahan_li8", "dmv10")
 
 
 def motions() -> dict[str, tuple[float, ...]]:

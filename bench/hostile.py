@@ -6,7 +6,7 @@ and compared with a run of rk8 whose steps end at each jump and corner, which a 
 steps confirms. Printed are how many promises were kept and broken, and how many cases were refused,
 warned of, or beyond what the comparison knows; of scenes that declare their breakpoints as well.
 
-    python bench/hostile.py                       # 300 scenes, 2000 runs
+    python bench/hostile.py                       # 300 scenes, 400 runs
     python bench/hostile.py --scenes 8 --runs 16
 """
 
@@ -238,7 +238,7 @@ def report(scenes: int, runs: int, seed: int, seconds: float = float("inf")) -> 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--scenes", type=int, default=8 if SMALL else 300)
-    parser.add_argument("--runs", type=int, default=8 if SMALL else 2000)
+    parser.add_argument("--runs", type=int, default=8 if SMALL else 400)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="at most")
     arguments = parser.parse_args()

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fastatt.plots.drawing import COLOURS, save
-from fastatt.plots.labels import Label, write_labels
 
 PICTURES = Path(__file__).parents[1] / "fastatt" / "docs" / "pictures"
 _COLOURS = dict(
@@ -133,12 +132,12 @@ def _of_log(axes: Any, log: list[OfLog]) -> None:
     axes.set(xscale="log", yscale="log", xlabel="time per sample, ns", ylabel="error, rms, rad")
     axes.grid(visible=True, alpha=0.3)
     axes.margins(0.15)
-    labels = []
     for row in log:
         style = {"color": _COLOURS[row.package], "marker": _MARKERS[row.package]}
         axes.plot(row.nanoseconds, row.error, **style, ms=6, ls="none")
-        labels.append(Label(row.method, [row.nanoseconds], [row.error], style["color"], 8.0))
-    write_labels(axes, labels)
+        if row.package == OURS:
+            place = {"xytext": (6, 3), "textcoords": "offset points", "fontsize": 8}
+            axes.annotate(row.method, (row.nanoseconds, row.error), **place)
 
 
 def _entries(times: Times, log: list[OfLog]) -> list[Line2D]:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
+from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,6 @@ import wheel_feedback
 
 import fastatt as fa
 from fastatt.trade.ensembles import coning_rates
-from fastatt.trade.recordings import find_recordings
 from fastatt.trade.reference import coning_attitudes
 
 N_BODIES, N_EXACT = 1024, 20
@@ -357,15 +357,25 @@ def wheels(quick: bool) -> Problem:
     )
 
 
+def recording(name: str) -> Path:
+    """A gyro log that scikit-kinematics installs."""
+    path = next(f for f in files("scikit-kinematics") if f.match(f"tests/data/{name}"))
+    return Path(path.locate())
+
+
+def recorded(name: str) -> fa.GyroLog:
+    """Its samples, in rad/s, which the files do not say."""
+    return fa.read_gyro_log(recording(name), unit="rad/s")
+
+
 def _from_the_maker() -> str:
     """The methods' largest angles from the attitudes of a maker's filter, on its recording."""
-    log = fa.read_gyro_log(find_recordings()[0], unit="rad/s")
-    angles = [
-        fa.angle_between(
-            fa.integrate_rates(log.rates, log.dt, log.attitudes[0], method=method), log.attitudes
-        ).max()
-        for method in ("trapezoid", "previous", "coning2", "coning3")
-    ]
+    log = recorded("data_xsens.txt")
+    maker = np.genfromtxt(recording("data_xsens.txt"), skip_header=5)[:, -4:]
+    angles = []
+    for method in ("trapezoid", "previous", "coning2"):
+        q = fa.integrate_rates(log.rates, log.dt, maker[0], method=method)
+        angles.append(fa.angle_between(q, maker).max())
     least, most = np.degrees([min(angles), max(angles)])
     return f"the methods are {least:.0f} to {most:.0f}° from a maker's filter on another recording"
 
@@ -378,8 +388,7 @@ def gyro_log(quick: bool) -> Log:
     """
     from scipy.integrate import solve_ivp
 
-    path = next(p for p in find_recordings() if p.name == RECORDING)
-    log = fa.read_gyro_log(path, unit="rad/s")
+    log = recorded(RECORDING)
     rates, h = log.rates[: 201 if quick else None], float(np.mean(log.dt))
     n = len(rates)
     t = h * np.arange(n)

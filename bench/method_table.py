@@ -1,6 +1,6 @@
-"""The README's method tables, from the CSV files that ``fastatt trade`` leaves: paths as arguments.
+"""The tables of the page of methods, from the ``trade.csv`` that ``fastatt trade`` leaves.
 
-``trade.csv`` gives the table of prescribed rates, ``bodies.csv`` that of rigid bodies.
+python bench/method_table.py results/trade.csv coning samples    # the path, and the scenes
 """
 
 from __future__ import annotations
@@ -9,12 +9,17 @@ import csv
 import sys
 from pathlib import Path
 
+from peak import peak
+
 from fastatt import METHODS
+from fastatt.threads import default_threads
 from fastatt.trade.ensembles import BODY_SCENES
 from fastatt.trade.measure import machine_line
 
 # what the rows of an input are called
 NAMES = {
+    "coning": "rate function",
+    "samples": "samples",
     "free": "free bodies",
     "top": "heavy tops",
     "torqued": "any torque",
@@ -39,7 +44,7 @@ def at(ladder: list[dict[str, str]], dt: float) -> dict[str, str] | None:
     return next((r for r in ladder if abs(float(r["dt"]) - dt) < 1e-9), None)
 
 
-def main(path: Path) -> None:
+def main(path: Path, *scenes: str) -> None:
     """Print one line a method and input: error at two steps, speed at the smaller, summary once."""
     coarse, fine = STEPS
     print(
@@ -49,21 +54,24 @@ def main(path: Path) -> None:
     print("| --- " * 9 + "|")
     summaries = {name: method.summary for name, method in METHODS.items()}
     for (name, source), ladder in ladders(path).items():
+        if scenes and source not in scenes:
+            continue
         method = METHODS[name]
         order = method.order_of(BODY_SCENES[source].kind) if source in BODY_SCENES else method.order
         first, last = at(ladder, coarse), at(ladder, fine)
-        if first is None or last is None:
-            raise SystemExit(f"{path}: {name} has no step of {coarse:g} or {fine:g} s: a full run?")
-        speed = float(last["steps_per_second"]) / 1e6
-        part = f"{100.0 * float(last['peak']):.0f}" if last["peak"] else ""
+        # a ladder may begin with smaller steps, or end with larger ones
+        errors = [f"{float(x['error_median']):.1e}" if x else "" for x in (first, last)]
+        last = last or ladder[-1]
+        speed, operations = float(last["steps_per_second"]), last["operations"]
+        most = default_threads() * peak("double")
+        share = f"{100.0 * speed * float(operations) / most:.0f}" if operations else ""
         print(
             f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
-            f"| {float(first['error_median']):.1e} | {float(last['error_median']):.1e} "
-            f"| {speed:.0f} | {last['operations']} | {part} | {summaries.pop(name, '')} |"
+            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} | {operations} | {share} "
+            f"| {summaries.pop(name, '')} |"
         )
 
 
 if __name__ == "__main__":
     print(f"{machine_line()}\n")
-    for argument in sys.argv[1:]:
-        main(Path(argument))
+    main(Path(sys.argv[1]), *sys.argv[2:])

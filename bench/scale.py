@@ -27,7 +27,6 @@ from matplotlib.lines import Line2D
 
 import fastatt as fa
 from fastatt.plots.drawing import COLOURS, save
-from fastatt.plots.labels import Label, write_labels
 from fastatt.threads import default_threads
 from fastatt.trade.measure import machine_line, processor_line
 
@@ -145,18 +144,17 @@ def picture(found, path):
     styles = dict(
         zip(threads, ({"ls": "-", "marker": "o"}, {"ls": "--", "marker": "s"}), strict=False)
     )
-    labels = []
     for k, steps in dict.fromkeys(key[:2] for key in found):
         points = [(n, x) for (*kind, n), x in found.items() if kind == [k, steps]]
         x, y = np.transpose(points)
         axes.loglog(x, y, color=colours[steps], **styles[k], ms=4)
-        if k == threads[0]:
-            labels.append(Label(f"{steps} step{'s' * (steps > 1)}", x, y, colours[steps]))
     axes.set(xlabel="bodies", ylabel="time per body and step, ns")
     axes.grid(visible=True, alpha=0.3)
-    shown = [Line2D([], [], color="k", **styles[k], ms=4) for k in threads]
-    axes.legend(shown, [f"{k} thread{'s' * (k > 1)}" for k in threads], frameon=False)
-    write_labels(axes, labels)
+    shown = {
+        f"{k} thread{'s' * (k > 1)}": Line2D([], [], color="k", **styles[k], ms=4) for k in threads
+    }
+    shown |= {f"{n} step{'s' * (n > 1)}": Line2D([], [], color=colours[n]) for n in STEPS}
+    axes.legend(shown.values(), shown, frameon=False)
     save(figure, path)
 
 

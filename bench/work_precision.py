@@ -28,8 +28,7 @@ from leaderboard_problems import MANY, PROBLEMS
 from leaderboard_report import envelope
 from matplotlib.figure import Figure
 
-from fastatt.plots.drawing import GREY, save, styles_of
-from fastatt.plots.labels import Label, write_labels
+from fastatt.plots.drawing import save, styles_of
 from fastatt.trade.measure import processor_line
 
 HERE = Path(__file__).resolve().parent
@@ -101,13 +100,11 @@ def picture(rows: Sequence[Row], path: Path) -> None:
         axes.set_xlabel("time per body, µs")
         axes.grid(visible=True, alpha=0.3)
         axes.margins(x=0.08)
-        labels = []
         for label, points in curves.items():
             errors, times = zip(*envelope(points), strict=True)
-            axes.plot(times, errors, **styles[label])
-            colour = "0.35" if styles[label]["color"] == GREY else styles[label]["color"]
-            labels.append(Label(label, times, errors, colour))
-        write_labels(axes, labels)
+            axes.plot(times, errors, **styles[label], label=label)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.13)}
+        axes.legend(**below, fontsize=8, ncols=3, frameon=False)
     save(figure, path)
 
 

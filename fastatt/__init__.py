@@ -17,29 +17,27 @@ import functools
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from fastatt import _fork
-
 __version__ = "0.1.0"
 
 __all__ = [
-    "METHODS", "Attitude", "ConvergenceCheck", "ConvergenceWarning", "Drift", "DriftStatistics",
-    "ErrorBudget", "Event", "GyroIntegrator", "GyroLog", "GyroLogError", "GyroLogWarning", "Method",
-    "PerBodySteps", "Plan", "Recommendation", "Reducer", "Scene", "Status", "StepWarning",
+    "METHODS", "ConvergenceCheck", "ConvergenceWarning", "Drift",
+    "Event", "GyroIntegrator", "GyroLog", "GyroLogError", "GyroLogWarning", "Method",
+    "PerBodySteps", "Plan", "Recommendation", "Scene", "Status", "StepWarning",
     "TimeSeries", "Trajectory", "WorkPrecision", "angle_between", "angular_momentum",
-    "angular_velocity", "check_convergence", "checkpoint", "closed_form", "dcm_to_quat", "drift",
-    "drift_statistics", "error_budget", "estimation", "euler313_to_quat", "euler_to_quat", "event",
+    "angular_velocity", "check_convergence", "closed_form", "dcm_to_quat", "drift",
+    "estimation", "euler313_to_quat", "euler_to_quat", "event",
     "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
-    "interpolate", "interpolate_states", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
+    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
     "methods_for", "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy",
     "propagate", "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse",
     "quat_to_dcm", "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector",
-    "rates", "read_gyro_log", "recommend", "reducer", "rotation_vector_to_quat", "runge_kutta",
+    "rates", "read_gyro_log", "recommend", "resume", "rotation_vector_to_quat", "runge_kutta",
     "single_step", "to_file", "to_scipy", "torques", "work_precision",
 ]  # fmt: skip
 
 # modules are imported when they are first used, so that a process loads only those it needs
 if TYPE_CHECKING:
-    from fastatt import estimation, interchange, kernels, plots
+    from fastatt import closed_form, estimation, interchange, kernels, plots
     from fastatt.arrays import (
         angle_between,
         dcm_to_quat,
@@ -54,7 +52,6 @@ if TYPE_CHECKING:
         quat_to_rotation_vector,
         rotation_vector_to_quat,
     )
-    from fastatt.attitudes import Attitude
     from fastatt.engine.status import Status
     from fastatt.estimation.filters import mean_attitude
     from fastatt.estimation.single_steps import single_step
@@ -67,12 +64,10 @@ if TYPE_CHECKING:
     from fastatt.methods import METHODS, Method
     from fastatt.methods.lie_group import lie_group
     from fastatt.methods.runge_kutta import runge_kutta
-    from fastatt.propagation import closed_form
     from fastatt.propagation.angular_velocity import angular_velocity
     from fastatt.propagation.choice_of_method import methods_for
     from fastatt.propagation.directions import propagate_directions
     from fastatt.propagation.drift import Drift, drift
-    from fastatt.propagation.drift_statistics import DriftStatistics, drift_statistics
     from fastatt.propagation.energy import (
         angular_momentum,
         kinetic_energy,
@@ -81,11 +76,10 @@ if TYPE_CHECKING:
     from fastatt.propagation.event import Event, event
     from fastatt.propagation.histories import to_file
     from fastatt.propagation.inspect_step import inspect_step
-    from fastatt.propagation.interpolation import interpolate, interpolate_states
+    from fastatt.propagation.interpolation import interpolate
     from fastatt.propagation.plan import Plan
     from fastatt.propagation.propagate import plan, propagate
-    from fastatt.propagation.reducer import Reducer, reducer
-    from fastatt.propagation.resume import checkpoint
+    from fastatt.propagation.resume import resume
     from fastatt.propagation.trajectory import Trajectory
     from fastatt.rounding import StepWarning
     from fastatt.scene import forces, rates, torques
@@ -97,7 +91,6 @@ if TYPE_CHECKING:
         ConvergenceWarning,
         check_convergence,
     )
-    from fastatt.trade.error_budget import ErrorBudget, error_budget
     from fastatt.trade.per_body import PerBodySteps, per_body_steps
     from fastatt.trade.recommendation import Recommendation
     from fastatt.trade.work_precision import WorkPrecision, work_precision
@@ -113,9 +106,6 @@ def _held_by() -> dict[str, str]:
     lines = ast.walk(ast.parse(inspect.getsource(sys.modules[__name__])))
     found = [x for x in lines if isinstance(x, ast.ImportFrom) and x.module]
     return {name.name: line.module or "" for line in found for name in line.names}
-
-
-_fork.guard()
 
 
 def __getattr__(name: str) -> Any:

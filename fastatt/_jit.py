@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import cfunc, config, njit, types
+from numba import config, njit, types
 from numba.core.caching import FunctionCache
 from numba.core.errors import TypingError
 from numba.extending import register_jitable
@@ -27,43 +27,45 @@ _ARITHMETIC: dict[str, Any] = {
     "nogil": True,
 }
 _INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
+# a loop allocates nothing; without this option of Numba's, which is not documented and which it
+# refuses if it is not there, atomic counts of references take longer than cheap formulas
+_LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
 
 
-#: files that every loop depends on
-_PARTS = Path(__file__), Path(__file__).parent / "codegen" / "call.py"
+if config.DISABLE_JIT:
+    raise ImportError(
+        f"NUMBA_DISABLE_JIT: found {config.DISABLE_JIT}; accepted: unset or 0, since formulas and "
+        "loops run as machine code only"
+    )
+
+# what was compiled lives as long as these references
+_MACHINES: list[Any] = []
 
 
-def address_loop(function: Callable[..., Any], *constants: Any) -> Callable[..., Any]:
-    """Compile a loop of whole numbers, the addresses of arrays among them; Numba keeps it on disk.
+def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
+    """Compile a loop over arrays for a signature; Numba keeps it on disk.
 
-    The loop calls functions of its file, functions of ``codegen/call.py``, and generated code by
-    address. Numba notices an edit of the loop's file; a hash of the other files and of the imported
-    ``constants`` is part of its name. A call releases the GIL. Without a compiler the result is the
-    Python function, which takes arrays.
+    The result takes arguments of these types without a check of theirs, and releases the GIL.
     """
-    if config.DISABLE_JIT:
-        return function
-    sources = [file.read_bytes() for file in _PARTS]
-    parts = hashlib.sha256(b"".join([*sources, repr(constants).encode()])).hexdigest()[:16]
-    function.__qualname__ = f"{function.__qualname__}_{parts}"
-    signature = types.int64(*[types.int64] * function.__code__.co_argcount)
-    for _ in range(2):
+    for is_kept in (True, True, False):
+        dispatcher: Any = njit(**_LOOP)(function)
+        if is_kept:
+            _kept(dispatcher)
         try:
-            return _called(cfunc(signature, cache=True, error_model="numpy")(function))
-        except Exception:  # noqa: BLE001  # no folder to write to, damaged files
+            dispatcher.compile(signature)
+            break
+        except Exception:  # damaged files; of an error in the function the last attempt tells
+            if not is_kept:
+                raise
             with contextlib.suppress(Exception):
                 FunctionCache(function).flush()
-    return _called(cfunc(signature, error_model="numpy")(function))
+    _MACHINES.append(dispatcher)
+    (made,) = dispatcher.overloads.values()
+    return made.entry_point  # type: ignore[no-any-return]
 
 
-def _called(found: Any) -> Callable[..., Any]:
-    call = found.ctypes
-    call.function = found  # the machine code lives as long as this reference
-    return call  # type: ignore[no-any-return]
-
-
-#: a part of a loop, in the same file
-loop_part = njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+#: a part of a machine
+loop_part = njit(**_LOOP, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _has_integer(ty: types.Type) -> bool:
@@ -111,7 +113,7 @@ def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
     ``type(x)(0.5)``; an integer would truncate them and is refused.
     """
     dispatcher = njit(**_INLINED)(function)
-    if cache and not config.DISABLE_JIT:
+    if cache:
         _kept(dispatcher)
     return _of_floats(dispatcher, function.__name__)
 
@@ -128,8 +130,6 @@ def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> A
 
 def _of_floats(dispatcher: Any, name: str) -> Any:
     """A dispatcher that refuses integers."""
-    if config.DISABLE_JIT:
-        return dispatcher
     compile_signature = dispatcher.compile
 
     def compile_floats(sig: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from decimal import Decimal, localcontext
 from functools import cache
 from typing import Any
 
@@ -14,6 +15,11 @@ from fastatt.tracing.formulas import dcm, euler313, mrp, quat
 
 # the largest error of an element of CᵀC
 _NOT_ORTHOGONAL = 0.01
+# rad, by bytes of a number; the rounding of larger angles is looked after
+_NEAR = {8: 1e4, 4: 30.0}
+# rad; with so many digits of π larger angles are not known to rounding
+_FARTHEST = 1e50
+_PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620900")
 
 
 def on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
@@ -36,6 +42,35 @@ def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
         accepted = ", ".join(map(str, tail))
         raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., {accepted})")
     return found
+
+
+def angles_of(name: str, value: ArrayLike, shorter: Any) -> NDArray[Any]:
+    """Rows of three angles; ``shorter`` subtracts revolutions from long rows of decimals."""
+    found = floats(name, value, (3,))
+    near = _NEAR[found.itemsize]
+    if -near <= found.min(initial=0.0) and found.max(initial=0.0) <= near:
+        return found
+    too_far = np.isfinite(found) & (np.abs(found.astype(np.float64)) > _FARTHEST)
+    checks.refuse(name, found, too_far, f"up to {_FARTHEST:g} rad")
+    size = np.abs(found).max(axis=-1)
+    far, found = np.isfinite(size) & (size > near), np.array(found)
+    with localcontext() as context:
+        context.prec = 160
+        for k in np.argwhere(far):
+            row = tuple(k)
+            found[row] = [float(x) for x in shorter([Decimal(float(x)) for x in found[row]])]
+    return found
+
+
+def each_shorter(angles: list[Decimal]) -> list[Decimal]:
+    """Angles less multiples of 4π, after which a quaternion is the same."""
+    return [x.remainder_near(4 * _PI) for x in angles]
+
+
+def _length_shorter(u: list[Decimal]) -> list[Decimal]:
+    """A rotation vector whose length is less by a multiple of 4π."""
+    length = sum((x * x for x in u), Decimal(0)).sqrt()
+    return [x * length.remainder_near(4 * _PI) / length for x in u]
 
 
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
@@ -127,7 +162,7 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     Parameters
     ----------
     angles : array_like of shape (..., 3)
-        (φ, θ, ψ), rad, with C = Rz(φ) Rx(θ) Rz(ψ).
+        (φ, θ, ψ), rad, with C = Rz(φ) Rx(θ) Rz(ψ), each up to 1e50 rad.
 
     Returns
     -------
@@ -137,7 +172,7 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        If the shape is another one.
+        If the shape is another one, or an angle is larger.
 
     Examples
     --------
@@ -145,7 +180,7 @@ def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
     >>> fa.euler313_to_quat([0.0, 1.0, 0.0]).round(4).tolist()
     [0.8776, 0.4794, 0.0, 0.0]
     """
-    return on_rows(euler313.to_quat, floats("angles", angles, (3,)), after=4)
+    return on_rows(euler313.to_quat, angles_of("angles", angles, each_shorter), after=4)
 
 
 def quat_to_euler313(q: ArrayLike) -> NDArray[Any]:
@@ -181,7 +216,7 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     Parameters
     ----------
     u : array_like of shape (..., 3)
-        Rotation vectors, rad, of any length.
+        Rotation vectors, rad, with components up to 1e50 rad.
 
     Returns
     -------
@@ -191,7 +226,7 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        If the shape is another one.
+        If the shape is another one, or a component is larger.
 
     Examples
     --------
@@ -199,7 +234,7 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     >>> fa.rotation_vector_to_quat([0.0, 0.0, 1.0]).round(4).tolist()
     [0.8776, 0.0, 0.0, 0.4794]
     """
-    return on_rows(quat.exp, floats("u", u, (3,)), after=4)
+    return on_rows(quat.exp, angles_of("u", u, _length_shorter), after=4)
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
@@ -213,7 +248,7 @@ def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:
     Returns
     -------
     ndarray of shape (..., 3)
-        Rotation vectors, rad, of length at most π.
+        Rotation vectors, rad, of length at most π; NaN for zero quaternions.
 
     Raises
     ------

@@ -33,6 +33,11 @@ def choice(name: str, value: object, accepted: Iterable[str]) -> str:
     return value
 
 
+def flags_invalid(invalid: object) -> bool:
+    """Whether the argument ``invalid`` is "flag"; the other accepted word is "raise"."""
+    return choice("invalid", invalid, ("raise", "flag")) == "flag"
+
+
 def nearest(value: object, words: Iterable[str]) -> str:
     """The end of a message, which suggests the most similar word; empty if there is none.
 
@@ -124,7 +129,8 @@ def any_real(name: str, value: Any, accepted: str) -> float:
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     """float64 or float32: ``dtype`` if given, else float32 if all arrays have it."""
     if dtype is None:
-        kinds = {a.dtype for a in arrays if isinstance(a, np.ndarray)}
+        tables = (a for a in arrays if hasattr(a, "__array__") and np.ndim(a))
+        kinds = {np.asarray(a).dtype.newbyteorder("=") for a in tables}
         return _SINGLE if kinds == {_SINGLE} else _DOUBLE
     with suppress(TypeError, ValueError):
         found: np.dtype[Any] = np.dtype(dtype)
@@ -151,18 +157,21 @@ def array(
 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
-    """A float32 or float64 array of real numbers; masked numbers become NaN."""
-    if type(value) is np.ndarray and value.dtype in _PRECISIONS:
+    """A float32 or float64 array of real numbers, contiguous; masked numbers become NaN.
+
+    Sums over rows round otherwise in another order in memory.
+    """
+    if type(value) is np.ndarray and value.flags.c_contiguous and value.dtype in _PRECISIONS:
         return value
     try:
-        found = np.asarray(value)
+        found = np.asarray(value, order="C")
     except (TypeError, ValueError):
         found = np.asarray(None)
     if found.dtype.kind not in "fiu":
         raise _not_numbers(name, value, accepted)
-    if found.dtype not in (_DOUBLE, _SINGLE):
-        with np.errstate(over="ignore"):
-            found = found.astype(np.float64)
+    kind = found.dtype.newbyteorder("=")
+    with np.errstate(over="ignore"):
+        found = found.astype(kind if kind in _PRECISIONS else np.float64, copy=False)
     if isinstance(value, np.ma.MaskedArray):
         found = np.where(np.ma.getmaskarray(value), found.dtype.type(np.nan), found)
     return found

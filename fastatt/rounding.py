@@ -24,7 +24,7 @@ class StepWarning(UserWarning):
     """Warns of a step that is beyond the method's limit, or too small for the precision."""
 
 
-def warn(text: str) -> None:
+def warn(text: str, category: type[Warning] = StepWarning) -> None:
     """Issue a warning that points to the first line outside this package."""
     if (listed := heard.get()) is not None:
         listed.append(text)
@@ -32,7 +32,7 @@ def warn(text: str) -> None:
     frame, level = sys._getframe(1), 2  # noqa: SLF001
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("fastatt."):
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, StepWarning, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)
 
 
 @contextmanager

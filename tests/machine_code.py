@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 
 import pytest
+import quick
 from llvmlite import binding
 
 from fastatt.codegen import modules
 from fastatt.codegen.processor import processor
-from fastatt.engine import run as engine_run
 from fastatt.engine.program import Program
+from fastatt.propagation import plan
 
 needs_avx = pytest.mark.skipif(
     not binding.get_host_cpu_features().get("avx"), reason="no AVX: nothing to pack into"
@@ -34,7 +35,7 @@ def job_of(monkeypatch, run):
     def record(job, **_):
         raise _Seen(job)
 
-    monkeypatch.setattr(engine_run, "program", record)
+    monkeypatch.setattr(plan, "program", record)
     with pytest.raises(_Seen) as seen:
         run()
     monkeypatch.undo()
@@ -49,9 +50,10 @@ def compiled(job):
     kept = modules.folder
     modules.folder = lambda: None
     try:
-        program = Program(job)
-        if job.formulas.any_angle is not None:
-            program.compile_any_angle()
+        with quick.optimised():
+            program = Program(job)
+            if job.formulas.any_angle is not None:
+                program.compile_any_angle()
     finally:
         modules.folder = kept
     return program.functions

@@ -57,6 +57,12 @@ def error(a, b):
     return float(gap / norm(b)) if gap else 0.0
 
 
+def relative(found, true):
+    """|found − true| / |true| of numbers, 0 for equal zeros."""
+    gap = abs(mp.mpf(found) - true)
+    return float(gap / abs(true)) if gap else 0.0
+
+
 def attitude_error(a, b):
     """|a ∓ b| of two unit quaternions, half the angle between their attitudes when small."""
     return min(distance(a, b), distance(a, -vec(b)))

@@ -1,11 +1,11 @@
 """Motions of rigid bodies under torques, from the equations of motion and in closed form.
 
 Everything here comes from definitions, not from the package. ``integrate`` carries the equations to
-a chosen number of digits in gmpy2's numbers, many times as fast as mpmath's, and gives back those;
-``integrate_float`` in floats for whole ensembles. Torques are plain functions (t, q, w) to three
-components in body axes, and forces (t, q, w, v) to three; they take tuples of gmpy2's or mpmath's
-numbers, floats or arrays over bodies alike. Their parameters are floats, taken exactly, or arrays
-over bodies. Closed forms are mpmath numbers, attitudes and rates tuples.
+a chosen number of digits in gmpy2's numbers, many times as fast as mpmath's, and gives back
+mpmath's. Torques are plain functions (t, q, w) to three components in body axes, and forces
+(t, q, w, v) to three; they take tuples of gmpy2's or mpmath's numbers, floats or arrays over bodies
+alike. Their parameters are floats, taken exactly, or arrays over bodies. Closed forms are mpmath
+numbers, attitudes and rates tuples.
 
 Conventions: q scalar first and unit, v_inertial = q∘v_body∘q*, w in body axes, SI units.
 """
@@ -20,7 +20,6 @@ import gmpy2
 import mpmath as mp
 import numpy as np
 import oracle
-import scipy
 
 # vectors, quaternions and tensors as tuples of mpmath numbers, floats or arrays over bodies
 
@@ -170,11 +169,6 @@ def momentum(inertia, w):
     return times(tensor(inertia), w)
 
 
-def inertial_momentum(inertia, q, w):
-    """C I w, what a free body keeps."""
-    return to_inertial(q, momentum(inertia, w))
-
-
 def kinetic_energy(inertia, w):
     """½ w·I w."""
     return dot(w, momentum(inertia, w)) / 2
@@ -289,43 +283,6 @@ def integrate(
     found = solve(slope, y0, [t] if single else t, digits=digits, step=step)
     states = [State(y[:4], y[4:7], y[7:10] or None, y[10:] or None) for y in found]
     return states[0] if single else states
-
-
-def integrate_float(inertia, q0, w0, t, torque=None, *, force=None, mass=None, v0=None, rtol=1e-13):
-    """Motion of one body (4,) or of bodies (N, 4) from t = 0 in floats: a State of arrays.
-
-    Several times t, ascending, come first: (T, N, 4). By the order-8 pair of Dormand and Prince
-    (DOP853 of scipy) with one step size for all bodies; the error is some 1e-12 for t = 10.
-    """
-    q0, w0 = np.asarray(q0, float), np.asarray(w0, float)
-    bodies = np.broadcast_shapes(q0.shape[:-1], w0.shape[:-1])
-    parts = [np.broadcast_to(q0, (*bodies, 4)), np.broadcast_to(w0, (*bodies, 3))]
-    if mass is not None:
-        v0 = np.zeros(3) if v0 is None else np.asarray(v0, float)
-        parts += [np.broadcast_to(v0, (*bodies, 3)), np.zeros((*bodies, 3))]
-    y0 = np.moveaxis(np.concatenate(parts, axis=-1), -1, 0)
-    slope = equations(inertia, torque, force=force, mass=mass)
-
-    def flat(time, y):
-        rates = slope(time, tuple(y.reshape(y0.shape)))
-        return np.concatenate([np.broadcast_to(c, bodies).ravel() for c in rates])
-
-    instants = np.atleast_1d(np.asarray(t, float))
-    run = scipy.integrate.solve_ivp(
-        flat,
-        (0.0, instants[-1]),
-        y0.ravel(),
-        method="DOP853",
-        t_eval=instants,
-        rtol=rtol,
-        atol=0.1 * rtol,
-    )
-    if not run.success:
-        raise ArithmeticError(run.message)
-    y = np.moveaxis(run.y.reshape(*y0.shape, len(instants)), (-1, 0), (0, -1))
-    y = y[0] if np.ndim(t) == 0 else y
-    moved = (None, None) if mass is None else (y[..., 7:10], y[..., 10:])
-    return State(y[..., :4], y[..., 4:7], *moved)
 
 
 # torques
@@ -602,11 +559,5 @@ with mp.workdps(50):
         16,
     )
 
-# y' = (y2 y3, −y1 y3, −.51 y1 y2) from (0, 1, 1): sn, cn and dn of t with m = .51
-JACOBI_PARAMETER = 0.51
-JACOBI_PERIOD = 7.450563209330954
-JACOBI_12 = (-0.7053978095225717, -0.7088116324671581, 0.8638466903702221)
-
 # body H about its intermediate axis, |m| = 1, tipped by ε towards the axis of I = 2
 FLIP_TIMES = {1e-2: 22.57956386, 1e-4: 41.00024457}
-FLIP_GROWTH = 0.5

@@ -9,7 +9,7 @@ import inspect
 import types
 
 import griffe
-import pytest
+from each import each
 
 import fastatt as fa
 
@@ -23,27 +23,25 @@ BLOCKS = {"compensated", "elliptic", "moser_veselov"}
 #: methods that packages of the library call on each other's objects
 INTERNAL = {
     "Event": {"watch"},
-    "Plan": {"calls", "end", "equations", "is_short", "results", "started", "times", "trajectory",
-             "warn_after", "warn_of_first", "width", "about"},
-    "Reducer": {"begin", "columns", "watching"},
+    "Plan": {"calls", "end", "equations", "is_short", "pool", "results", "started", "steps",
+             "times", "trajectory", "warn_after", "warn_of_first", "width", "about"},
     "Scene": {"carried", "dependence", "memo", "packed"},
 }  # fmt: skip
 #: examples that compile programs which no other test needs; pages show the same calls, and run them
 SLOW = {
-    "Attitude", "error_budget", "estimation.run_tangent", "event", "per_body_steps", "recommend",
-    "work_precision",
+    "estimation.run_tangent", "event", "per_body_steps", "recommend", "work_precision",
 }  # fmt: skip
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
 def module_names(name, module):
     """Public functions and classes of a module."""
-    for each in getattr(module, "__all__", None) or vars(module):
-        found = getattr(module, each)
+    for member in getattr(module, "__all__", None) or vars(module):
+        found = getattr(module, member)
         defined = inspect.unwrap(getattr(found, "py_func", found))
         here = getattr(defined, "__module__", None) == module.__name__
-        if not each.startswith("_") and (hasattr(module, "__all__") or here):
-            yield f"{name}.{each}", found
+        if not member.startswith("_") and (hasattr(module, "__all__") or here):
+            yield f"{name}.{member}", found
 
 
 def public_names():
@@ -68,12 +66,12 @@ def members(name, value):
         return
     for base in value.__mro__:
         if base.__module__.startswith("fastatt"):
-            for each, found in vars(base).items():
+            for member, found in vars(base).items():
                 function = getattr(found, "__func__", getattr(found, "func", found))
-                hidden = each.startswith("_") or each in INTERNAL.get(value.__name__, ())
+                hidden = member.startswith("_") or member in INTERNAL.get(value.__name__, ())
                 is_member = callable(function) or isinstance(found, property)
-                if is_member and not hidden and not is_model(value) and in_source(base, each):
-                    yield f"{name}.{each}", found
+                if is_member and not hidden and not is_model(value) and in_source(base, member):
+                    yield f"{name}.{member}", found
 
 
 def is_model(value):
@@ -135,12 +133,12 @@ def check_function(value):
         assert "returns" not in found
 
 
-@pytest.mark.parametrize("name", sorted(FUNCTIONS))
+@each("name", sorted(FUNCTIONS))
 def test_functions(name):
     check_function(FUNCTIONS[name])
 
 
-@pytest.mark.parametrize("name", sorted(METHODS))
+@each("name", sorted(METHODS))
 def test_methods(name):
     check_function(METHODS[name])
 
@@ -149,7 +147,7 @@ def test_properties():
     assert [name for name, value in PROPERTIES.items() if not inspect.getdoc(value)] == []
 
 
-@pytest.mark.parametrize("name", sorted(CLASSES))
+@each("name", sorted(CLASSES))
 def test_classes(name):
     """What users make has its parameters, what functions return its attributes."""
     value = CLASSES[name]
@@ -165,7 +163,7 @@ def test_classes(name):
 EXAMPLES = [name for name, value in PUBLIC.items() if ">>>" in (inspect.getdoc(value) or "")]
 
 
-@pytest.mark.parametrize("name", sorted(set(EXAMPLES) - SLOW))
+@each("name", sorted(set(EXAMPLES) - SLOW))
 def test_examples(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(PUBLIC[name]) or ""

@@ -32,26 +32,14 @@ def changed(at, value, shape=(20, 3)):
 
 PROPAGATE = [
     ({"q0": [1, 0, 0]}, ValueError, "q0: has shape (3,); accepted: (4,) or (N, 4)"),
-    ({"q0": np.zeros((0, 4))}, ValueError, "q0: has shape (0, 4)"),
-    ({"q0": np.ones((2, 2, 4))}, ValueError, "q0: has shape (2, 2, 4)"),
-    ({"q0": [0, 0, 0, 0]}, ValueError, "q0 is the zero quaternion"),
     ({"q0": [Q, [0, 0, 0, 0]]}, ValueError, "q0[1] is the zero quaternion"),
     ({"q0": [Q, [1, 0, NAN, 0]]}, ValueError, "q0[1, 2] is nan; accepted: finite numbers"),
-    ({"q0": [1, 0, INF, 0]}, ValueError, "q0[2] is inf"),
     ({"q0": "north"}, TypeError, "q0: found 'north'; accepted: real numbers"),
     ({"q0": [1j, 0, 0, 0]}, TypeError, "q0: found"),
-    ({"q0": [Q, [1.0]]}, TypeError, "q0: found"),
-    ({"q0": None}, TypeError, "q0: found None"),
     ({"dt": 0.0}, ValueError, "dt: found 0.0; accepted: a finite number other than 0"),
-    ({"dt": NAN}, ValueError, "dt: found nan"),
     ({"dt": "fast"}, TypeError, "dt: found 'fast'; accepted: a finite number"),
     ({"dt": [0.1, 0.2]}, ValueError, "dt: found 2 steps; accepted: one, or 1 of the bodies"),
-    ({"dt": "0.1"}, TypeError, "dt: found '0.1'"),
-    ({"dt": True}, TypeError, "dt: found True"),
     ({"dt": np.array([[0.1]])}, ValueError, "dt: has shape (1, 1); accepted: a number or (N,)"),
-    ({"dt": np.timedelta64(5, "ms")}, TypeError, "dt: found"),
-    ({"dt": np.ma.masked}, TypeError, "dt: found masked"),
-    ({"dt": 10**400}, TypeError, "dt: found 1000000"),
     ({"dt": 1e308}, ValueError, "dt: 3 steps of 1e+308 s from 0.0 s overflow"),
     (
         {"n_steps": 2**70},
@@ -60,32 +48,21 @@ PROPAGATE = [
     ),
     ({"q0": np.ma.array([1.0, 0, 0, 0], mask=[0, 0, 1, 0])}, ValueError, "q0[2] is nan"),
     ({"q0": np.array([list("abcd")] * 9)}, TypeError, "q0: found array([['a', 'b', 'c', 'd'], ["),
-    ({"q0": np.zeros(4, dtype="M8[s]")}, TypeError, "q0: found array(['1970"),
-    ({"q0": np.ones(4, dtype=bool)}, TypeError, "q0: found array([ True"),
-    ({"q0": np.full(4, np.longdouble("1e4000"))}, ValueError, "q0[0] is inf"),
     ({"on_save": 3, "save_every": 1}, TypeError, "on_save: found 3; accepted: a function"),
     ({"n_steps": -1}, ValueError, "n_steps: found -1; accepted: a whole number of at least 0"),
     ({"n_steps": 2.0}, TypeError, "n_steps: found 2.0; accepted: a whole number"),
-    ({"n_steps": True}, TypeError, "n_steps: found True"),
     ({"save_every": 0}, ValueError, "save_every: found 0"),
     ({"save_every": "all"}, TypeError, "save_every: found 'all'"),
     ({"n_threads": 0}, ValueError, "n_threads: found 0"),
-    ({"n_threads": 1.5}, TypeError, "n_threads: found 1.5"),
     ({"t0": INF}, ValueError, "t0: found inf"),
-    ({"t0": None}, TypeError, "t0: found None"),
     ({"dtype": np.int32}, TypeError, "dtype: found"),
     ({"dtype": "float16"}, TypeError, "dtype: found 'float16'; accepted: float64, float32 or None"),
-    ({"dtype": "nonsense"}, TypeError, "dtype: found 'nonsense'"),
-    ({"dtype": {1: 2}}, TypeError, "dtype: found {1: 2}"),
     (
         {"representation": "matrix"},
         ValueError,
         "representation: found 'matrix'; accepted: quat, dcm",
     ),
-    ({"representation": None}, ValueError, "representation: found None"),
     ({"method": "rk5"}, ValueError, "method: found 'rk5'; accepted: " + ", ".join(RATE_METHODS)),
-    ({"method": "hold"}, ValueError, "method: found 'hold'; accepted: " + ", ".join(RATE_METHODS)),
-    ({"method": 4}, ValueError, "method: found 4"),
     ({"method": "x" * 5000}, ValueError, "method: found 'xxxx"),
     (
         {"method": "magnus4", "representation": "euler313"},
@@ -93,7 +70,6 @@ PROPAGATE = [
         "method for representation \"euler313\": found 'magnus4'; accepted: rk4",
     ),
     ({"scene": fa.rates.Constant([0, 0, 1])}, TypeError, "scene: found Constant("),
-    ({"scene": None}, TypeError, "scene: found None; accepted: a fastatt.Scene"),
     (
         {"scene": generic(3).scene, "q0": [Q, Q]},
         ValueError,
@@ -113,23 +89,17 @@ def test_propagate(arguments, error, message):
 
 DIRECTIONS = [
     ({"v0": [1.0, 2.0]}, ValueError, "v0: has shape (2,); accepted: (3,), (M, 3) or (N, M, 3)"),
-    ({"v0": np.zeros((0, 3))}, ValueError, "v0: has shape (0, 3)"),
     ({"v0": [0.0, NAN, 1.0]}, ValueError, "v0[1] is nan"),
-    ({"v0": "up"}, TypeError, "v0: found 'up'"),
-    ({"method": "hold"}, ValueError, "method: found 'hold'"),
-    ({"scene": None}, TypeError, "scene: found None"),
     ({"scene": generic(3).scene}, ValueError, "parameters for 3 bodies"),
     (
         {"scene": generic(3).scene, "v0": np.ones((2, 5, 3))},
         ValueError,
         "parameters for 3 bodies",
     ),
-    ({"dt": 0}, ValueError, "dt: found 0.0"),
-    ({"n_steps": None}, TypeError, "n_steps: found None"),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "error", "message"), DIRECTIONS)
+@each(("arguments", "error", "message"), DIRECTIONS)
 def test_propagate_directions(arguments, error, message):
     options = {"scene": SCENE, "v0": [0.0, 0.0, 1.0], "dt": 0.1, "n_steps": 3, **arguments}
     with pytest.raises(error, match=re.escape(message)):
@@ -151,40 +121,24 @@ SCENES = [
     ),
     ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
     ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
-    ({"rate": R.Constant(["1", "2", "3"])}, TypeError, "rate: Constant.w: found ['1', '2', '3']"),
-    ({"rate": R.Constant(np.ones(3) + 1j)}, TypeError, "rate: Constant.w: found array([1.+1.j"),
-    ({"rate": R.Constant(np.ones(3, dtype=bool))}, TypeError, "rate: Constant.w: found array([ T"),
-    ({"rate": R.Constant([10**400, 0, 0])}, TypeError, "rate: Constant.w: found [1000"),
-    ({"rate": R.Constant(np.zeros((0, 3)))}, ValueError, "rate: Constant.w has shape (0, 3)"),
     ({"rate": R.Polynomial(np.zeros((0, 3)))}, ValueError, "Polynomial.coefficients has shape (0"),
     ({"rate": len}, TypeError, "rate: found <built-in function len>; accepted: a function rate(t"),
-    ({"rate": dict}, TypeError, "rate: found <class 'dict'>; accepted: a function rate(t, p)"),
-    ({"inertia": [5e-324, 5e-324, 5e-324]}, ValueError, "inertia is (4.94066e-324, 4.94066e-324"),
     ({"inertia": [1e300, 1e300, 1e300]}, ValueError, "inertia: found 1e+300; accepted: up to"),
-    ({"inertia": np.full((3, 3), 1e308)}, ValueError, "inertia: found 1e+308; accepted: up to"),
     (
         {"inertia": [1, 1, 1], "mass": 5e-324, "force": [0, 0, 1]},
         ValueError,
         "mass is 5e-324; accepted: above 0",
     ),
     ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
-    (
-        {"rate": R.Polynomial([[1, 2]])},
-        ValueError,
-        "rate: Polynomial.coefficients has shape (1, 2)",
-    ),
     ({"rate": R.Coning([1, INF], 1)}, ValueError, "rate: Coning.angle[1] is inf"),
     (
         {"rate": R.Coning([1, 2], [1, 2, 3])},
         ValueError,
         "rate: Coning: found parameters for 2 and 3",
     ),
-    ({"rate": R.Coning([[1]], 1)}, ValueError, "rate: Coning.angle has shape (1, 1)"),
-    ({"rate": R.Slew([1, 2, 3], 0.0)}, ValueError, "rate: Slew.duration"),
     ({"rate": R.Slew([1, 2, 3], [1.0, -2.0])}, ValueError, "rate: Slew.duration[1] is -2.0"),
     ({"rate": R.Sum(())}, ValueError, "rate: Sum.terms is empty"),
     ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w has shape (2,)"),
-    ({"rate": R.Sum((3,))}, TypeError, "rate: Sum: found int"),
     (
         {"rate": R.Constant([0, 0, 1]), "frame": "space"},
         ValueError,
@@ -210,18 +164,8 @@ def two_numbers(t, p):
 
 
 @njit
-def one_number(t, p):
-    return t
-
-
-@njit
 def an_array(t, p):
     return np.array([t, t])
-
-
-@njit
-def words(t, p):
-    return "a", 0.1, 0.2
 
 
 @njit
@@ -239,13 +183,11 @@ def needs_three(t, p):
     return p[0], p[1], p[2]
 
 
-@pytest.mark.parametrize(
+@each(
     ("function", "message"),
     [
         (two_numbers, "returns UniTuple(float64 x 2); accepted is a tuple of three floats"),
-        (one_number, "returns float64; accepted"),
         (an_array, "returns array(float64, 1d, C); accepted is a tuple of three"),
-        (words, "returns Tuple("),
         (no_such_name, "does not compile for floats, with p a tuple of 2 floats"),
         (needs_three, "does not compile for floats, with p a tuple of 2 floats"),
     ],
@@ -275,16 +217,9 @@ def test_another_number_of_arguments_is_said_to_be_so():
     assert fa.Scene(inertia=[1, 1, 1], torque=of_states, states=1).states == 1
 
 
-def test_users_function_is_refused_each_time():
-    for _ in range(2):
-        with pytest.raises(TypeError, match="rate: two_numbers"):
-            fa.Scene(rate=two_numbers)
-
-
-@pytest.mark.parametrize(
+@each(
     ("params", "error", "message"),
     [
-        ([1.0, NAN, 1.0], ValueError, "params[1] is nan"),
         (
             np.ones((2, 2, 3)),
             ValueError,
@@ -314,21 +249,14 @@ def spans(at, value):
     return out
 
 
-SAMPLED = ["hold", "trapezoid", "previous", "coning2", "coning3", "picard"]
-OF_INCREMENTS = ["hold", "previous", "coning2", "coning3", "coning3_optimal", "picard"]
+SAMPLED = ["hold", "trapezoid", "previous", "coning2", "picard"]
+OF_INCREMENTS = ["hold", "previous", "coning2", "picard"]
 INTEGRATE = [
     ({"rates": np.ones(3)}, ValueError, "rates: has shape (3,); accepted: (n, 3) or (N, n, 3)"),
-    ({"rates": np.ones((4, 4))}, ValueError, "rates: has shape (4, 4)"),
-    ({"rates": np.ones((0, 3))}, ValueError, "rates: has shape (0, 3)"),
     ({"rates": np.ones((2, 2, 2, 3))}, ValueError, "rates: has shape (2, 2, 2, 3)"),
-    ({"rates": None}, TypeError, "rates: found None; accepted: real numbers"),
     ({"rates": [["a", "b", "c"]]}, TypeError, "rates: found"),
     ({"rates": changed(7, NAN)}, ValueError, "rates[7, 0] is nan; accepted: finite numbers"),
-    ({"rates": changed((12, 1), INF)}, ValueError, "rates[12, 1] is inf"),
-    ({"rates": changed((19, 2), NAN)}, ValueError, "rates[19, 2] is nan"),
-    ({"rates": changed((0, 0), -INF)}, ValueError, "rates[0, 0] is -inf"),
     ({"rates": changed((1, 5, 2), NAN, (2, 20, 3))}, ValueError, "rates[1, 5, 2] is nan"),
-    ({"rates": changed((17, 5, 2), NAN, (20, 20, 3))}, ValueError, "rates[17, 5, 2] is nan"),
     (
         {"rates": changed((3, 1), NAN), "increments": True},
         ValueError,
@@ -336,16 +264,12 @@ INTEGRATE = [
     ),
     ({"dt": 0.0}, ValueError, "dt: found 0.0"),
     ({"dt": -0.1}, ValueError, "dt: found -0.1"),
-    ({"dt": NAN}, ValueError, "dt is nan"),
-    ({"dt": "fast"}, TypeError, "dt: found 'fast'"),
     ({"dt": SPANS[:-1]}, ValueError, "dt: has shape (18,); accepted: a number or (19,)"),
-    ({"dt": np.full(20, 0.1)}, ValueError, "dt: has shape (20,); accepted: a number or (19,)"),
     (
         {"dt": SPANS, "increments": True},
         ValueError,
         "dt: has shape (19,); accepted: a number or (20,)",
     ),
-    ({"dt": SPANS[:, None]}, ValueError, "dt: has shape (19, 1)"),
     ({"dt": spans(4, NAN)}, ValueError, "dt[4] is nan"),
     ({"dt": spans(4, 0.0)}, ValueError, "dt[4] is 0.0: a repeated time stamp"),
     ({"dt": spans(18, -0.1)}, ValueError, "dt[18] is -0.1: a decreasing time stamp"),
@@ -356,31 +280,16 @@ INTEGRATE = [
         "dt[9] is 0.3: a gap; accepted: at most 0.2",
     ),
     ({"dt": SPANS, "max_gap": "no"}, TypeError, "max_gap: found 'no'"),
-    ({"dt": SPANS, "max_gap": np.ma.masked}, TypeError, "max_gap: found masked"),
     ({"dt": SPANS, "max_gap": -1}, ValueError, "max_gap: found -1.0"),
-    ({"dt": 0.01, "max_gap": -1}, ValueError, "max_gap: found -1.0"),
     ({"dt": 0.3, "max_gap": 0.2}, ValueError, "dt: found 0.3; accepted: at most 0.2 s, max_gap"),
-    ({"dt": 0.01, "max_gap": -1}, ValueError, "max_gap: found -1.0"),
-    ({"dt": 0.3, "max_gap": 0.2}, ValueError, "dt: found 0.3; accepted: at most 0.2 s, max_gap"),
-    ({"dt": [[0.1], [0.1, 0.2]]}, TypeError, "dt: found [[0.1], [0.1, 0.2]]"),
     ({"q0": np.zeros(4)}, ValueError, "q0 is the zero quaternion"),
     ({"q0": [Q, Q]}, ValueError, "q0: has shape (2, 4); accepted: (4,) or (1, 4), one a log"),
-    ({"q0": [1, 0, 0]}, ValueError, "q0: has shape (3,)"),
-    ({"q0": [1, 0, NAN, 0]}, ValueError, "q0[2] is nan"),
     ({"method": "rk4"}, ValueError, "method: found 'rk4'; accepted: " + ", ".join(SAMPLED)),
-    ({"method": "coning3_optimal"}, ValueError, "method: found 'coning3_optimal'; accepted: hold"),
     (
         {"method": "trapezoid", "increments": True},
         ValueError,
         "method: found 'trapezoid'; accepted: " + ", ".join(OF_INCREMENTS),
     ),
-    (
-        {"method": "coning3_optimal", "increments": True, "dt": np.full(20, 0.1)},
-        ValueError,
-        'dt: found intervals; accepted with "coning3_optimal": one number',
-    ),
-    ({"n_threads": 0}, ValueError, "n_threads: found 0"),
-    ({"dtype": "float16"}, TypeError, "dtype: found 'float16'"),
 ]
 
 
@@ -389,12 +298,6 @@ def test_integrate_rates(arguments, error, message):
     options = {"rates": LOG, "dt": 0.1, "method": "hold", **arguments}
     with pytest.raises(error, match=re.escape(message)):
         fa.integrate_rates(options.pop("rates"), options.pop("dt"), **options)
-
-
-@pytest.mark.parametrize("method", SAMPLED)
-def test_bad_sample_is_found_with_every_method(method):
-    with pytest.raises(ValueError, match=re.escape("rates[13, 1] is nan")):
-        fa.integrate_rates(changed((13, 1), NAN), 0.1, method=method)
 
 
 def test_angles_too_large_for_the_precision():
@@ -410,17 +313,13 @@ def test_progress_needs_its_package(monkeypatch):
         fa.integrate_rates(LOG, 0.1, method="hold", progress=True)
 
 
-@pytest.mark.parametrize(
+@each(
     ("q", "dt", "options", "message"),
     [
         (np.ones((3, 4)), 0.1, {}, "q: has 3 attitudes; accepted with order 4: at least 5"),
-        (np.ones((9, 3)), 0.1, {}, "q: has shape (9, 3)"),
-        (np.ones((9, 4)), 0.0, {}, "dt: found 0.0"),
         (np.ones((9, 4)), np.full(9, 0.1), {}, "dt: has shape (9,)"),
         (np.eye(4)[[0, 1, 2, 3, 0]], 1e-310, {}, "dt: rates over 1e-310 s overflow"),
         (np.ones((9, 4)), np.r_[np.full(7, 0.1), -0.1], {}, "dt[7] is -0.1"),
-        (np.ones((9, 4)), 0.1, {"frame": "up"}, "frame: found 'up'"),
-        (np.ones((9, 4)), 0.1, {"order": 0}, "order: found 0"),
         (changed((4, 2), NAN, (9, 4)), 0.1, {}, "q[4, 2] is nan"),
         (changed(4, 0.0, (9, 4)), 0.1, {}, "q[4] is the zero quaternion"),
     ],
@@ -444,15 +343,10 @@ def test_a_log_of_one_sample_has_no_intervals():
     assert q == pytest.approx(START[None], abs=1e-15)
 
 
-def test_start_in_single_precision_is_unit_in_double():
-    q = fa.integrate_rates(LOG, 0.1, START.astype(np.float32), method="hold", dtype=np.float64)
-    assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() < 1e-14
-
-
 TOP = fa.Scene(inertia=(1.0, 1.0, 0.6))
 
 
-@pytest.mark.parametrize(
+@each(
     ("call", "error", "message"),
     [
         (lambda: fa.methods_for(None), TypeError, "scene: found None"),

@@ -1,9 +1,9 @@
-"""A little of ``python -m fuzz``: hostile input is refused in one line, or its result is right."""
+"""Hostile input is refused in one line that names the argument, or its result is right."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from each import each
 from exact import Motion
 from fuzz import judge, logs, runs, trying
 
@@ -15,11 +15,7 @@ def rates(d):
     return Motion(a, omega, c).scene
 
 
-def body(d):
-    return fa.Scene(inertia=runs.moments(d, 2, 3))
-
-
-RUNS = (*runs.RUNS, runs.Run(rates, "magnus4"), runs.Run(body, "rk4"), runs.Run(body, "strang2"))
+RUNS = (*runs.RUNS, runs.Run(rates, "magnus4"))
 
 
 def test_hostile_input(tmp_path):
@@ -27,7 +23,7 @@ def test_hostile_input(tmp_path):
     assert not counts, "\n".join(f"{f.target}: {f.what}\n    {f.example}" for f in found)
     for name, own in outcomes.items():
         assert own["refused"] > 0, name
-        assert own["returned"] > 0 or name == "drift", name
+        assert own["returned"] > 0, name
 
 
 def nonsense(q):
@@ -54,7 +50,7 @@ def warned(q):
     return np.float64(1.0) / np.zeros(1) * np.ones((2, 4)) / np.inf + np.eye(2, 4)
 
 
-@pytest.mark.parametrize("function", [nonsense, silent, wordy, nameless, other, warned])
+@each("function", [nonsense, silent, wordy, nameless, other, warned])
 def test_what_the_fuzz_is_after_is_found(function):
     call = judge.Call(function, (np.array([1.0, 0.0, 0.0, 0.0]),), {}, judge.unit, ("q",))
     assert trying.tried(call)[1] is not None

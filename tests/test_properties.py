@@ -1,4 +1,4 @@
-"""What holds for any input: group laws, conversions, frames, units, splits of a run, of a batch.
+"""What holds for any input: rotations, conversions, frames, units, a run in two parts.
 
 Hypothesis draws the seed and the kind of whole ensembles, so that a few calls cover much.
 """
@@ -10,8 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pytest
-from exact import EPS, START, generic
+from exact import EPS, generic
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -60,34 +59,14 @@ def units(seed, n=64):
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-def inverse(q):
-    return q * (1.0, -1.0, -1.0, -1.0)
-
-
 def exactly(a, b):
     return a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
-# the group: a component of a product is a sum of four products, wrong by at most 2 eps |p||q|
+# a component of a product is a sum of four products, wrong by at most 2 eps |p||q|
 
 PRODUCT = 4.0 * EPS  # as a 4-vector
 TURN = 2.0 * PRODUCT  # as an angle
-
-
-@few
-@given(seeds)
-def test_products_are_a_group(seed):
-    p, q, r = units(seed), units(seed + 1), units(seed + 2)
-    mul = fa.quat_multiply
-    left, right = mul(mul(p, q), r), mul(p, mul(q, r))
-    assert np.linalg.norm(left - right, axis=1).max() <= 4.0 * PRODUCT
-    one = np.array([1.0, 0.0, 0.0, 0.0])
-    assert np.array_equal(mul(one, q), q)
-    assert np.array_equal(mul(q, one), q)
-    # |q| itself is wrong by at most 2 eps
-    assert np.linalg.norm(mul(q, inverse(q)) - one, axis=1).max() <= PRODUCT + 4.0 * EPS
-    gap = np.linalg.norm(inverse(mul(p, q)) - mul(inverse(q), inverse(p)), axis=1)
-    assert gap.max() <= 2.0 * PRODUCT
 
 
 @few
@@ -110,6 +89,7 @@ def test_rotation_is_an_action_of_the_group(seed, v):
 @many
 @given(vectors)
 def test_exponential_of_any_vector_is_unit_and_its_logarithm_comes_back(u):
+    u = np.clip(u, -1e49, 1e49)  # longer ones are refused
     q = fa.rotation_vector_to_quat(u)
     assert np.isfinite(q).all()
     assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() <= 4.0 * EPS
@@ -127,30 +107,6 @@ def test_logarithm_of_any_quaternion_is_its_turn(q):
     assert np.linalg.norm(u, axis=1).max() <= math.pi * (1.0 + 8.0 * EPS)
     # 1e-15 of up to π, the exponential's 4e-16 as a 4-vector, the measure's own 1e-15
     assert fa.angle_between(fa.rotation_vector_to_quat(u), q).max() <= 6e-15
-
-
-@few
-@given(seeds)
-def test_conversions_come_back(seed):
-    q = units(seed)
-    C = fa.quat_to_dcm(q)
-    # an entry is 1 or 0 less or plus two products, doubled: 4 eps
-    assert np.abs(C @ np.swapaxes(C, 1, 2) - np.eye(3)).max() <= 3.0 * 2.0 * 4.0 * EPS
-    assert np.linalg.det(C) == pytest.approx(1.0, abs=32.0 * EPS)
-    assert fa.angle_between(fa.dcm_to_quat(C), q).max() <= 64.0 * EPS
-    assert fa.angle_between(C, q).max() <= 64.0 * EPS
-    # sums of two angles of at most π, each with an error of an ulp, 4.4e-16
-    angles = fa.quat_to_euler313(q)
-    assert fa.angle_between(fa.euler313_to_quat(angles), q).max() <= 8e-15
-    assert ((angles[:, 1] >= 0.0) & (angles[:, 1] <= math.pi)).all()
-
-
-@many
-@given(vectors)
-def test_any_euler_angles_are_an_attitude(angles):
-    q = fa.euler313_to_quat(angles)
-    assert np.isfinite(q).all()
-    assert np.abs(np.linalg.norm(q, axis=1) - 1.0).max() <= 8.0 * EPS
 
 
 @many
@@ -176,7 +132,6 @@ STEPS, H = 24, 0.05
 RATE = "magnus4"
 # two explicit methods of other kinds, in body axes and by turns about principal ones
 BODY = ("rk4", "strang2")
-PAIRS = st.sampled_from(BODY)
 # of |w| ≤ 2 rad/s for 1.2 s a difference grows at most e^2.4 times; a step rounds q by two products
 # and m by some 16 operations
 ROUND_OFF = 2.0 * STEPS * 16.0 * EPS * math.exp(2.4)
@@ -226,22 +181,21 @@ ORIENTED = [  # signed permutations of axes, det = 1, and whose inertia they per
 ]
 
 
-@few
-@given(seeds)
-def test_rates_do_not_know_the_inertial_axes(seed):
-    scene, q0, r = generic(64, seed).scene, units(seed), units(seed + 1, 1)
-    options = {"dt": H, "n_steps": STEPS, "method": RATE, "n_threads": 1}
-    q = fa.propagate(scene, q0, **options).q
-    turned = fa.propagate(scene, fa.quat_multiply(r, q0), **options).q
-    assert fa.angle_between(fa.quat_multiply(r, q), turned).max() <= (2 * STEPS + 4) * TURN
+def run(seed, method, q0=None, w0=None, **options):
+    """64 bodies or rates of a seed, from their own start or another."""
+    a = bodies(seed)
+    a = a._replace(q=a.q if q0 is None else q0, w=a.w if w0 is None else w0)
+    if method != RATE:
+        return a.run(method, **options)
+    options = {"dt": H, "n_steps": STEPS, "n_threads": 1, "method": method, **options}
+    return fa.propagate(generic(64, seed).scene, a.q, **options)
 
 
 @few
-@given(seeds, PAIRS)
-def test_free_bodies_do_not_know_the_inertial_axes(seed, method):
-    given_bodies, r = bodies(seed), units(seed + 2, 1)
-    a = given_bodies.run(method)
-    b = given_bodies._replace(q=fa.quat_multiply(r, given_bodies.q)).run(method)
+@given(seeds, st.sampled_from((RATE, *BODY)))
+def test_runs_do_not_know_the_inertial_axes(seed, method):
+    r, a = units(seed + 2, 1), run(seed, method)
+    b = run(seed, method, fa.quat_multiply(r, bodies(seed).q))
     assert fa.angle_between(fa.quat_multiply(r, a.q), b.q).max() <= (2 * STEPS + 4) * TURN
     assert exactly(a.w, b.w)
 
@@ -274,67 +228,13 @@ def test_units_change_no_bit(seed, kind, method, time, mass):
 
 
 @few
-@given(seeds, st.floats(0.01, 100.0))
-def test_any_unit_of_time(seed, s):
-    a = bodies(seed)
-    first = a.run("rk4")
-    second = a._replace(w=s * a.w).run("rk4", dt=H / s)
-    assert fa.angle_between(first.q, second.q).max() <= ROUND_OFF
-    assert np.abs(s * first.w - second.w).max() <= s * ROUND_OFF
-
-
-@few
-@given(seeds, st.integers(1, 200), st.sampled_from((RATE, *BODY)), st.sampled_from([1, 2, 3, 7]))
-def test_bodies_and_threads_are_independent(seed, n, method, threads):
-    """An ensemble is its single runs, and so it is on any number of threads, bit for bit."""
-    motion, all_bodies = generic(n, seed), bodies(seed, n)
-
-    def run(rows, threads):
-        if method != RATE:
-            return Bodies(*[x[rows] for x in all_bodies]).run(method, n_threads=threads)
-        scene, q0 = motion.take(rows).scene, all_bodies.q[rows]
-        return fa.propagate(
-            scene, q0, dt=H, n_steps=STEPS, method=method, n_threads=threads, save_every=10
-        )
-
-    together = run(slice(None), 1)
-    assert exactly(together.q, run(slice(None), threads).q)
-    for i in {0, n // 2, n - 1}:
-        alone = run(slice(i, i + 1), 1)
-        assert exactly(together.q[:, i : i + 1], alone.q)
-        assert exactly(together.w[:, i : i + 1], alone.w)
-
-
-@few
-@given(seeds, st.integers(0, 150), st.integers(1, 160), st.sampled_from((RATE, *BODY)))
-def test_saves_change_no_bit_of_the_end(seed, n, every, method):
-    if method == RATE:
-        scene, q0, w0 = generic(5, seed).scene, units(seed, 5), None
-    else:
-        q0, w0, inertia = bodies(seed, 5)
-        scene = fa.Scene(inertia=inertia)
-    options = {"dt": 0.01, "n_steps": n, "method": method, "n_threads": 1}
-    end = fa.propagate(scene, q0, w0, **options)
-    saved = fa.propagate(scene, q0, w0, save_every=every, **options)
-    assert exactly(end.q[-1], saved.q[-1])
-    assert exactly(end.w[-1], saved.w[-1])
-
-
-@few
 @given(seeds, st.integers(0, STEPS), st.sampled_from((RATE, *BODY, "exact")))
 def test_a_run_in_two_parts(seed, first, method):
-    if method == RATE:
-        scene, q0 = generic(64, seed).scene, units(seed)
-        options = {"method": method, "dt": H, "n_threads": 1}
-        whole = fa.propagate(scene, q0, n_steps=STEPS, **options)
-        part = fa.propagate(scene, q0, n_steps=first, **options)
-        rest = fa.propagate(scene, part.q[-1], n_steps=STEPS - first, t0=first * H, **options)
-    else:
-        a = bodies(seed)
-        whole, part = a.run(method), a.run(method, n_steps=first)
-        rest = a._replace(q=part.q[-1], w=part.w[-1]).run(method, n_steps=STEPS - first)
-        assert np.abs(whole.w - rest.w).max() <= ROUND_OFF
+    whole, part = run(seed, method), run(seed, method, n_steps=first)
+    t0 = {"t0": first * H} if method == RATE else {}
+    rest = run(seed, method, part.q[-1], part.w[-1], n_steps=STEPS - first, **t0)
     assert fa.angle_between(whole.q, rest.q).max() <= ROUND_OFF
+    assert np.abs(whole.w - rest.w).max() <= ROUND_OFF
 
 
 @few
@@ -367,17 +267,3 @@ def test_logs_know_no_axes_units_or_neighbours(seed, n, n_logs, k):
     assert exactly(q, integrate(np.ldexp(rates, k), math.ldexp(H, -k), q0))
     alone = integrate(rates[n_logs - 1 :], H, q0[n_logs - 1 :])
     assert fa.angle_between(q[-1:], alone).max() <= 2 * n * TURN
-
-
-@few
-@given(seeds, st.integers(1, 100), st.integers(0, 100))
-def test_turns_in_two_parts_and_back(seed, n, first):
-    turns = np.random.default_rng(seed).normal(size=(n, 3))
-    options = {"method": "hold", "increments": True}
-    q = fa.integrate_rates(turns, 1.0, START, **options)
-    first = min(first, n - 1)
-    rest = fa.integrate_rates(turns[first:], 1.0, q[first], **options)
-    allowed = (2 * n + 4) * TURN
-    assert fa.angle_between(q[first:], rest).max() <= allowed
-    back = fa.integrate_rates(-turns[::-1], 1.0, q[-1], **options)
-    assert fa.angle_between(q[::-1], back).max() <= allowed

@@ -11,9 +11,11 @@ import pytest
 import fastatt as fa
 from fastatt import estimation as es
 from fastatt import interchange as ic
+from fastatt.interchange.aem import aem_of
 
 Q, W, P = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.1, 0.2, 0.3]), 0.01 * np.eye(6)
 BODY = fa.Scene(inertia=(2.0, 1.0, 0.7))
+TOP = fa.Scene(inertia=(1.0, 1.0, 0.6), torque=fa.torques.HeavyTop((0.0, 0.0, 0.1), 2.0))
 RUN = fa.propagate(BODY, Q, W, dt=0.1, n_steps=4, save_every=1, method="rk4")
 HOSTILE = [
     None, True, -1, 10**400, np.nan, 1e300, 1j, "", "abc", b"x", {}, [[1, 2, 3], [4, 5]], ["a"],
@@ -28,28 +30,33 @@ CALLS = {
     "to_scipy": (fa.to_scipy, {"q": Q}),
     "methods_for": (fa.methods_for, {"scene": BODY, "representation": "quat", "need": ""}),
     "inspect_step": (fa.inspect_step, {"scene": BODY, "method": "rk4"}),
+    "propagate": (
+        fa.propagate, {
+            "scene": BODY, "q0": Q, "w0": W, "dt": 0.1, "n_steps": 1, "method": "rk4", "t0": 0.0,
+        },
+    ),
+    "resume": (
+        lambda scene, **options: fa.resume(scene, RUN, **options),
+        {"scene": BODY, "t_end": 0.5, "save_every": 1, "n_threads": None},
+    ),
     "runge_kutta": (
         fa.runge_kutta,
         {"name": "mine", "order": 2, "c": [0, 0.5], "a": [[0.5]], "b": [0.0, 1.0]},
     ),
     "TimeSeries": (fa.TimeSeries, {"t": np.arange(3.0), "values": np.ones(3), "slopes": None}),
     "Scene": (fa.Scene, {"inertia": (2.0, 1.0, 0.7), "allow_unphysical": False}),
-    "body_axis": (RUN.body_axis, {"axis": W}),
-    "aem_of": (ic.aem_of, {"run": RUN, "epoch": "2026-01-01", "frame": "ICRF", "body": 0}),
+    "interpolate": (fa.interpolate, {"t": RUN.t, "q": RUN.q, "w": RUN.w, "times": 0.25}),
+    "aem_of": (aem_of, {"run": RUN, "epoch": "2026-01-01", "frame": "ICRF", "body": 0}),
     "dataframe": (ic.dataframe, {"run": RUN}),
-    "rates_to_body": (ic.rates_to_body, {"q": Q, "w": W}),
+    "to_jpl": (ic.to_jpl, {"q": Q}),
+    "angular_velocity": (fa.angular_velocity, {"q": RUN.q, "dt": 0.1, "frame": "body", "order": 2}),
+    "kinetic_energy": (fa.kinetic_energy, {"w": W, "inertia": (2.0, 1.0, 0.7)}),
+    "angular_momentum": (fa.angular_momentum, {"w": W, "inertia": (2.0, 1.0, 0.7), "q": Q}),
+    "potential_energy": (fa.potential_energy, {"scene": TOP, "q": Q, "t": 0.0}),
+    "single_step": (
+        fa.single_step, {"scene": BODY, "method": "rk4", "representation": "quat", "dtype": None},
+    ),
     "attitude_error": (es.attitude_error, {"q": Q, "q_true": Q}),
-    "attitude_from_vectors": (
-        es.attitude_from_vectors,
-        {"measured": np.eye(3)[:2], "reference": np.eye(3)[:2], "sigma": 0.01},
-    ),
-    "static_start": (
-        es.static_start,
-        {
-            "gyro": np.tile([0.01, 0.0, 0.0], (8, 1)), "accel": np.tile([0.0, 0.0, 9.8], (8, 1)),
-            "sigma": 0.01, "largest_bias": 0.05, "largest_change": 0.01,
-        },
-    ),
     "gyro_motion": (es.gyro_motion, {"gyro": W, "dt": 0.1, "n_threads": None}),
     "moved": (es.gyro_motion(W, 0.1), {"q": [Q, Q], "y": np.zeros((2, 3))}),
     "scene_motion": (
@@ -59,13 +66,7 @@ CALLS = {
         lambda **options: es.UKF(Q, np.zeros(3), P).predict(**options),
         {"motion": es.gyro_motion(W, 0.1), "noise": P},
     ),
-    "ParticleFilter": (
-        es.ParticleFilter, {"q": [Q, Q], "y": np.zeros((2, 3)), "rng": 0, "threshold": 0.5},
-    ),
     "simulate_gyro": (es.simulate_gyro, {"rates": np.ones((5, 3)), "dt": 0.1, "rng": 0}),
-    "allan_deviation": (
-        es.allan_deviation, {"samples": np.ones(20), "dt": 0.1, "increments": False},
-    ),
     "body_tangent": (
         es.body_tangent,
         {"scene": BODY, "q0": Q, "w0": W, "dt": 0.1, "method": "rk4", "parameters": False},
@@ -76,7 +77,7 @@ CALLS = {
     ),
 }  # fmt: skip
 # where one argument has the length of another, that one is named
-BESIDE = {"mean_attitude": "weights", "attitude_from_vectors": "reference", "TimeSeries": "values"}
+BESIDE = {"mean_attitude": "weights", "TimeSeries": "values"}
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -98,7 +99,7 @@ def test_a_refusal_names_its_argument(name):
 @pytest.mark.parametrize("value", [None, 5, b"a", "a\0b"])
 def test_what_is_no_path_is_refused(value):
     for function in (
-        ic.read_aem, RUN.to_csv, fa.checkpoint, fa.to_file, lambda path: ic.write_csv(RUN, path),
+        ic.read_aem, RUN.to_csv, fa.to_file, lambda path: ic.write_csv(RUN, path),
         lambda path: RUN.to_aem(path, epoch="2026-01-01", frame="ICRF"),
     ):  # fmt: skip
         with pytest.raises(TypeError, match=r"^path: found .*; accepted: a path"):
@@ -116,6 +117,12 @@ def test_rates_whose_square_overflows_are_refused():
             function(BODY, Q, [1e200, 0.0, 0.0], **options)
 
 
+@pytest.mark.parametrize("until", [{"save_at": [1e149]}, {"t_end": 1e300}, {"t_end": 1e308}])
+def test_steps_that_no_whole_number_counts_are_refused(until):
+    with pytest.raises(ValueError, match=r"dt: found .* steps in .* s; accepted: fewer"):
+        fa.propagate(BODY, Q, W, dt=0.1, method="rk4", **until)
+
+
 @pytest.mark.parametrize(("period", "start"), [(1e-320, 0.0), (0.1, 1e300), (1e-9, 0.0)])
 def test_sample_times_that_no_double_tells_apart_are_refused(period, start):
     control = fa.torques.SampledControl(fa.torques.QuaternionPD(1.0, 1.0), period, start=start)
@@ -131,10 +138,3 @@ def test_rows_of_parameters_that_are_not_there():
     for body in (2, -1):
         with pytest.raises(ValueError, match="body: found"):
             stepper.state(Q, W, body=body)
-
-
-def test_a_body_axis_of_each_save_is_none():
-    """One body's saves took a row each."""
-    with pytest.raises(ValueError, match=r"axis: has shape \(5, 3\); accepted: \(3,\)"):
-        RUN.body_axis(np.ones((5, 3)))
-    assert np.array_equal(RUN.body_axis([0.0, 0.0, 1e200]), RUN.body_axis([0.0, 0.0, 1.0]))

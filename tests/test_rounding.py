@@ -5,6 +5,7 @@ import warnings
 import mpmath as mp
 import numpy as np
 import pytest
+from each import each
 
 import fastatt as fa
 from fastatt import rounding
@@ -38,18 +39,17 @@ def off(q, truth):
     return 2.0 * min(np.linalg.norm(q - truth), np.linalg.norm(q + truth))
 
 
-@pytest.mark.parametrize("dtype", EPS)
-@pytest.mark.parametrize("way", ["exact", "exponential"])
-@pytest.mark.parametrize("lost", [1e-2, 1e-1, 1e1, 1e3])
+@each("dtype", EPS)
+@each("way", ["exact", "exponential"])
+@each("lost", [1e-2, 1e-1, 1e1, 1e3])
 def test_a_turn_beyond_precision_is_flagged(way, dtype, lost):
     """At 0.1 rad of rounding; below that the error is what |w| t eps says."""
-    w, t = 1.7, float(np.float32(lost / EPS[dtype] / 1.7))
-    w = float(np.float32(w)) * (0.9 if lost == 0.1 else 1.0)
-    w = float(np.float32(w))
+    t = float(np.float32(lost / EPS[dtype] / 1.7))
+    w = float(np.float32(1.7 * (0.9 if lost == 0.1 else 1.0)))
     if way == "exact":
         scene, w0, method = fa.Scene(inertia=INERTIA), rates(w), "exact"
     else:
-        scene, w0, method = fa.Scene(rate=fa.rates.Constant(rates(w))), None, "lie_euler"
+        scene, w0, method = fa.Scene(rate=fa.rates.Constant(rates(w))), None, "magnus4"
     run, texts = told(
         lambda: fa.propagate(scene, Q, w0, dt=t, n_steps=1, method=method, dtype=dtype)
     )
@@ -73,14 +73,11 @@ def test_half_the_digits_are_told_of(dtype):
             )
             assert len(texts) == n
         scene = fa.Scene(rate=fa.rates.Constant(rates(factor * t)))
-        for method in ("lie_euler", "magnus4"):
-            run, texts = told(
-                lambda s=scene, m=method: fa.propagate(
-                    s, Q, dt=1.0, n_steps=1, method=m, dtype=dtype
-                )
-            )
-            assert len(texts) == n
-            assert not run.status.any()
+        run, texts = told(
+            lambda s=scene: fa.propagate(s, Q, dt=1.0, n_steps=1, method="magnus4", dtype=dtype)
+        )
+        assert len(texts) == n
+        assert not run.status.any()
 
 
 @pytest.mark.parametrize("dtype", EPS)
@@ -96,9 +93,9 @@ def test_a_clock_that_tells_steps_apart_no_more_is_told_of(dtype):
         (coning, 1e-4, 1.7e6, 0),
         (constant, 1e-4, 1.7e9, 0),
         (free, 1e-4, 1.7e9, 0),
-        # steps of each body's own end at times
+        # steps of each body's own are counted too
         (coning, (1e-4, 5e-5), 1.7e9, 1),
-        (constant, (1e-4, 5e-5), 1.7e9, 1),
+        (constant, (1e-4, 5e-5), 1.7e9, 0),
     ):
         w0 = [0.1, 0.2, 0.3] if scene is free else None
         steps = {"dt": h, "n_steps": 2 if np.ndim(h) == 0 else (2, 4)}

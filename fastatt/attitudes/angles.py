@@ -17,7 +17,7 @@ ANGLES = Attitude(
     speed_squared=coordinate_speed,
     family="coordinates",
     flip=lambda x: (math.pi - x[2], x[1], math.pi - x[0]),
-    to_quat_array=arrays.euler313_to_quat,
+    to_quat_array=lambda x: arrays.on_rows(euler313.to_quat, x, after=4),
     to_euler313_array=same,
     summary="3-1-3 Euler angles, 3 numbers",
 )

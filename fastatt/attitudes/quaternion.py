@@ -30,7 +30,6 @@ QUATERNION = Attitude(
     rotate_third=quat.rotate_third,
     family="quaternion",
     to_quat_array=same,
-    is_usual=True,
     summary="unit quaternion, 4 numbers",
 )
 
@@ -69,5 +68,6 @@ COMPENSATED = Attitude(
     add_vector=compensated.add_vector,
     carry=lambda v: (*v, 0.0, 0.0, 0.0),
     family="quaternion",
+    to_quat_array=same,
     summary="quaternion and what rounding has left out of it, 8 numbers",
 )

@@ -14,6 +14,6 @@ ROTATION_VECTOR = Attitude(
     speed_squared=coordinate_speed,
     family="coordinates",
     flip=opposite,
-    to_quat_array=arrays.rotation_vector_to_quat,
+    to_quat_array=lambda x: arrays.on_rows(quat.exp, x, after=4),
     summary="rotation vector, 3 numbers",
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from fastatt.attitudes import matrix
 from fastatt.attitudes.attitude import Attitude, composed
 from fastatt.tracing.formulas import Vector, dcm, quat, two_rows
 
@@ -38,6 +39,7 @@ ROWS = Attitude(
     start=lambda q: dcm.from_quat(quat.normalise(q))[:6],
     **composed(compose),
     quaternion=lambda x: dcm.to_quat(to_dcm(x)),
+    nearby=lambda x, q: matrix.nearby(to_dcm(x), q),
     to_body=lambda x, v: dcm.rotate_inverse(to_dcm(x), v),
     derivative=derivative,
     flip=lambda x: dcm.transpose(to_dcm(x))[:6],

@@ -145,16 +145,14 @@ class Emitter:
         return result
 
     def _gathered(self, node: Node, index: tuple[Any, bool]) -> tuple[Any, bool]:
-        table = self.resources["table", node.args[0]]
+        table, code = self.resources["table", node.args[0]], self.code
         value, has_lanes = index
-        b = self.code.b
-
-        def one(where: Any) -> Any:
-            found = b.load(b.gep(table, [b.fptosi(where, I64)]))
-            return found if node.kind == "double" else b.fptrunc(found, REALS["single"])
-
-        to = ir.VectorType(REALS[node.kind], self.lanes)
-        return self._by_lane(one, value, has_lanes, to), has_lanes
+        if has_lanes and self.lanes > 1:
+            where = code.b.fptosi(value, ir.VectorType(I32, self.lanes))
+            return code.cast(node.kind, code.gather(table, where)), True
+        # a table does not change: what all bodies share is read once a step
+        found = code.constant_load(table, code.b.fptosi(value, I64))
+        return code.cast(node.kind, found), has_lanes
 
     def _called(self, node: Node, values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
         """A function ``f(double* arguments, double* results)`` that is not traced."""

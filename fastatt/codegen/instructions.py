@@ -90,6 +90,18 @@ class Code:
         loaded.set_metadata("invariant.load", self.module.add_metadata([]))
         return loaded
 
+    def gather(self, pointer: Any, index: Any) -> Line:
+        """Elements of an array that does not change, at a vector of indices."""
+        n, kind = index.type.count, pointer.type.pointee
+        many, bits = ir.VectorType(kind, n), ir.VectorType(BIT, n)
+        at = ir.VectorType(ir.PointerType(), n)
+        places = Line(self.b, at, f"getelementptr {kind}, {_typed(pointer)}, {_typed(index)}")
+        function = self.declared(
+            f"llvm.masked.gather.{_suffix(many)}.v{n}p0", many, [at, I32, bits, many]
+        )
+        every, none = ir.Constant(bits, [1] * n), ir.Constant(many, ir.Undefined)
+        return self.call(function, [places, ir.Constant(I32, 8), every, none])
+
     def store(self, pointer: Any, index: Any, value: Any) -> None:
         """Change an element."""
         self.b.store(value, self.place(pointer, index))

@@ -3,25 +3,21 @@
 The memory is arrays of rows, each of which holds one number for every lane of a block. The text of
 a function is a few lines of Python, which call formulas by name with all arrays and an offset into
 each of them. A formula takes some lanes of some rows, and stores its results in the same lanes of
-others: as vector instructions, or with NumPy under ``NUMBA_DISABLE_JIT=1``.
+others, as vector instructions.
 """
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 from numba import types
 
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import Emitter, pointers_of, raised, write
 from fastatt.codegen.instructions import REALS, Code
-from fastatt.codegen.memory import DTYPES, LINE
 from fastatt.codegen.modules import Emission, generated
-from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.traced import Traced
 
@@ -57,15 +53,12 @@ class LaneFormula(NamedTuple):
     """A formula: its graph, the places of its inputs by name, and those of its results.
 
     A ``Traced`` formula works on single lanes, another on as many as the function's shape says, or
-    on ``lanes``. The result number ``largest`` replaces the previous value if it is larger. Each
-    result times zero is added to the row ``finite``, if there is one, which stays zero while all of
-    them are finite.
+    on ``lanes``. The result number ``largest`` replaces the previous value if it is larger.
     """
 
     graph: Flat | Traced
     inputs: Mapping[Name, Place]
     results: Sequence[Place]
-    finite: Place | None = None
     largest: int | None = None
     lanes: int = 0
     clock: StepTimes | None = None
@@ -102,7 +95,7 @@ class LaneProgram(NamedTuple):
         key = [repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
         emissions: dict[str, Emission] = {}
         for name, x in self.formulas.items():
-            places = sorted(x.inputs.items()), *x[2:6]
+            places = sorted(x.inputs.items()), *x[2:5]
             clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
             key += [x.graph.spelled(keys), repr((places, clock))]
             whole = [types.int64] * (len(arrays) + (x.clock is not None))
@@ -110,26 +103,15 @@ class LaneProgram(NamedTuple):
         arguments = types.int64, *memory, *[types.int64] * self.numbers
         return generated(self.text, arguments, emissions, "\0".join(key))
 
-    def in_python(self) -> Callable[..., None]:
-        """The function on NumPy arrays, with ``whole`` a list of resources; nothing is fused."""
-        scope: dict[str, Any] = {name: _apply(self, x) for name, x in self.formulas.items()}
-        exec(self.text, scope)
-        found: Callable[..., None] = scope["run"]
-        return found
-
-    def split(self, args: Sequence[Any]) -> tuple[Sequence[Any], Any, Sequence[Any], Any]:
-        """(arrays, whole, offsets, steps) of a formula's arguments; None for absent ones."""
-        n = len(self.arrays)
-        begin = n + (self.resources is not None)
-        whole = args[n] if begin > n else None
-        return args[:n], whole, args[begin : begin + n], args[-1]
-
 
 def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence[Any]) -> None:
     """Write a formula in place of a call of it."""
     kind, block, lanes = program.shape
     lanes = formula.lanes or lanes
-    arrays, whole, offsets, steps = program.split(args)
+    n = len(program.arrays)
+    begin = n + (program.resources is not None)
+    arrays, offsets = args[:n], args[begin : begin + n]
+    whole = args[n] if begin > n else None
     pointers = pointers_of(code, whole, program.resources or ())
     times: dict[Name, tuple[Any, bool]] = {}
 
@@ -156,7 +138,7 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
     else:
         emit = Emitter(code, lanes, pointers)
         if formula.clock is not None:
-            times["n",] = code.b.sitofp(steps, REALS["double"]), False
+            times["n",] = code.b.sitofp(args[-1], REALS["double"]), False
             made = emit(formula.clock.flat, find)
             times |= zip(formula.clock.names, made, strict=True)
         values = emit.wide(formula.graph, find)
@@ -165,89 +147,16 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
         if i == formula.largest:
             kept = raised(code, code.vector(*place(x), lanes), value)
         code.store_vector(*place(x), kept)
-    if formula.finite is not None:
-        zero = code.splat(code.real(kind, 0.0), lanes)
-        total = code.vector(*place(formula.finite), lanes)
-        for value in values:
-            total = code.of("fadd", total, code.of("fmul", value, zero))
-        code.store_vector(*place(formula.finite), total)
 
 
-def _apply(program: LaneProgram, formula: LaneFormula) -> Callable[..., None]:
-    """A formula as a Python function of arrays and offsets."""
-    assert isinstance(formula.graph, Flat)
-    flat, clock, block = formula.graph, formula.clock, program.shape.block
-    lanes = formula.lanes or program.shape.lanes
-    kinds = {node.args: DTYPES[node.kind] for node in flat.nodes if node.op == "in"}
-    clock_of = None if clock is None else source.function(clock.flat)
-    # one program serves all scenes with the same structure, each with its tables
-    made: list[Any] = [None, None]
-
-    def apply(*args: Any) -> None:
-        arrays, whole, offsets, steps = program.split(args)
-        if made[1] is None or made[0] is not whole:
-            keys = enumerate(program.resources or ())
-            tables = {key[1]: whole[i] for i, key in keys if key[0] == "table"}
-            made[:] = whole, source.function(flat, tables=tables)
-
-        def lanes_of(x: Place) -> Any:
-            first = offsets[x.array] + x.row * block
-            return arrays[x.array][first : first + lanes]
-
-        def value(name: Name) -> Any:
-            if name in times:
-                return times[name]
-            x = formula.inputs[name]
-            if x.of == "lanes":
-                return lanes_of(x)
-            return arrays[x.array][x.row + (offsets[x.array] if x.of == "indexed" else 0)]
-
-        times: dict[Name, Any] = {("n",): float(steps)}
-        if clock is not None and clock_of is not None:
-            found = clock_of(*map(value, clock.flat.inputs()))
-            times |= zip(clock.names, found, strict=True)
-        # copies, since results may overwrite inputs
-        given = [np.array(value(name), kinds[name]) for name in flat.inputs()]
-        results = zip(formula.results, made[1](*given), strict=True)
-        for i, (x, result) in enumerate(results):
-            to = lanes_of(x)
-            to[:] = np.fmax(to, result) if i == formula.largest else result
-
-    return apply
-
-
-_PART = "    if part == {part}:\n        {loop}"
-_LOOP = "for j in range(0, count, {lanes}): {name}(rows, whole, j)"
+_LOOP = "for j in range(0, count, {lanes}): formula(rows, whole, j)"
 # without a loop, constants are not loaded in advance into more registers than there are
-_ONCE = "{name}(rows, whole, 0)"
+_ONCE = "formula(rows, whole, 0)"
 
 
-def lane_function(
-    shape: Shape, formulas: Sequence[LaneFormula], resources: Resources = (), text: str = ""
-) -> Any:
-    """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula by its number, its lanes.
-
-    ``text`` replaces the default text, which calls ``formula0``, ``formula1``, ...
-    """
-    named = {f"formula{i}": formula for i, formula in enumerate(formulas)}
-    loop = _LOOP if shape.block > shape.lanes else _ONCE
-    calls = [loop.format(lanes=shape.lanes, name=name) for name in named]
-    parts = [_PART.format(part=i, loop=call) for i, call in enumerate(calls)]
-    text = text or "\n".join(["def run(part, rows, whole, count):", *parts, ""])
-    return LaneProgram(text, named, shape, (shape.kind,), resources, numbers=1).compiled()
-
-
-class Memory:
-    """Memory for rows of lanes and, after them, for blocks of whole numbers."""
-
-    def __init__(self, shape: Shape, rows: int, blocks: int) -> None:
-        size = rows * shape.block * DTYPES[shape.kind].itemsize
-        self._rows = size + -size % LINE
-        self._bytes = ctypes.c_char * (self._rows + blocks * shape.block * 8 + LINE)
-
-    def made(self) -> tuple[Any, int, int]:
-        """Zeros for one thread: the arrays, the addresses of the rows and of the blocks."""
-        held = self._bytes()
-        first = ctypes.addressof(held)
-        first += -first % LINE
-        return held, first, first + self._rows
+def lane_function(shape: Shape, formula: LaneFormula, resources: Resources = ()) -> Any:
+    """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula in so many lanes."""
+    loop = _LOOP.format(lanes=shape.lanes) if shape.block > shape.lanes else _ONCE
+    text = f"def run(part, rows, whole, count):\n    {loop}\n"
+    formulas = {"formula": formula}
+    return LaneProgram(text, formulas, shape, (shape.kind,), resources, numbers=1).compiled()

@@ -24,6 +24,7 @@ import stat
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,6 @@ from fastatt.codegen.processor import processor
 
 #: bytes that the folder may hold before the files that were not used for longest are removed
 LIMIT = 256 << 20
-#: seconds of compiling after which a user at a terminal is informed
-LONG = 1.0
 _ABANDONED = 3600.0  # s
 _PREFIX, _MARK, _INSIDE = "fastatt_", ".ok", "__pycache__"
 _OPERATIONS = "tracing/nodes.py"
@@ -66,15 +65,24 @@ def generated(
     digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
     found = None
-    with global_compiler_lock:  # one thread at a time, and none while the process forks
-        begin, path = time.perf_counter(), folder()
+    with global_compiler_lock:  # one thread at a time
+        _check_numbas()
+        path = folder()
         if path is not None:
             with contextlib.suppress(Exception):
                 found = _kept(path, _PREFIX + digest, text, arguments, names)
         if found is None:
             found = _in_memory(text, arguments, names)
-        _count(found, time.perf_counter() - begin)
+        _count(found)
     return found
+
+
+def _count(found: Any) -> None:
+    global hits, made  # noqa: PLW0603
+    if found.cache_hits:
+        hits += 1
+    else:
+        made += 1
 
 
 def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], None]) -> Any:
@@ -265,15 +273,43 @@ def _found() -> tuple[Path | None, str]:
             return None, f"{path} may not be written to"
         if may_write:
             (path / _INSIDE).mkdir(mode=0o700, exist_ok=True)
-        for one in filter(Path.exists, (path, path / _INSIDE) if hasattr(os, "getuid") else ()):
-            info = one.stat()
-            if info.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-                return None, f"{one} is not trusted: others may write to it"
-            if info.st_uid not in (os.getuid(), 0):
-                return None, f"{one} is not trusted: it is another user's"
+        for one in filter(Path.exists, (path, path / _INSIDE)):
+            if why := _others(one):
+                return None, f"{one} is not trusted: {why}"
     except (OSError, RuntimeError) as error:
         return None, str(error)
     return path.resolve(), ""
+
+
+def _others(path: Path, shared: int = stat.S_IWGRP | stat.S_IWOTH) -> str:
+    """How others may write to a folder, by these permissions or as its owner; empty if not."""
+    info = path.stat()
+    if not hasattr(os, "getuid"):
+        return ""
+    if info.st_mode & shared:
+        return "others may write to it"
+    return "" if info.st_uid in (os.getuid(), 0) else "it is another user's"
+
+
+@functools.cache
+def _check_numbas() -> None:
+    """Warn, once, of a folder that others may write to, from which Numba loads machine code."""
+    with contextlib.suppress(RuntimeError, OSError):  # Numba has no folder
+        # Numba's folders for other files of the package have the same owner
+        own, chosen = _numba_files(Path(__file__))[0], numba.config.CACHE_DIR
+        for path in (own, *([Path(chosen)] if chosen else ())):
+            info = path.stat()
+            # systems give each user a group, of the same number
+            shared = stat.S_IWOTH | (0 if info.st_gid == info.st_uid else stat.S_IWGRP)
+            if path != own and info.st_mode & stat.S_ISVTX:  # others can not replace what is there
+                continue
+            if why := _others(path, shared):
+                warnings.warn(
+                    f"NUMBA_CACHE_DIR: Numba loads machine code from {path}, but {why}; accepted: "
+                    "a folder of your own",
+                    stacklevel=2,
+                )
+                return
 
 
 def _user_folder() -> Path:
@@ -315,38 +351,9 @@ def clear() -> None:
         file.unlink(missing_ok=True)
 
 
-# the time that compiling takes
-
-
-class _Wait:
-    """The time that compiling has taken, reported once to a user at a terminal."""
-
-    def __init__(self) -> None:
-        self.seconds, self.silent = 0.0, False
-
-    def add(self, seconds: float) -> None:
-        """Add some seconds."""
-        self.seconds += seconds
-        if self.seconds > LONG and not self.silent:
-            self.silent = True
-            if sys.stderr is not None and sys.stderr.isatty():
-                sys.stderr.write(
-                    "fastatt: compiling for this machine, once ('fastatt precompile' does it)\n"
-                )
-
-
-_WAIT = _Wait()
-
-
-def say_nothing() -> None:
-    """Compile without a message about the time."""
-    _WAIT.silent = True
-
-
-def _count(found: Any, seconds: float) -> None:
-    global hits, made  # noqa: PLW0603
-    if found.cache_hits:
-        hits += 1
-    else:
-        made += 1
-        _WAIT.add(seconds)
+def where() -> str:
+    """Number, size and folder of the programs on disk."""
+    if folder() is None:
+        return f"nothing is kept: {reason()}"
+    files, size = usage()
+    return f"{files} programs, {size / 1e6:.1f} MB in {folder()}"

@@ -1,84 +1,96 @@
-"""The loop over rows of arrays, and over samples of each row, compiled by Numba.
+"""Rows of arrays through lanes: their loads and stores, and the loop over rows and samples.
 
-A block of rows is gathered into lanes, a formula works on them (``fastatt.codegen.lanes``), and its
-results are scattered. The last block is filled with copies of the last row, so that every row is
-computed by the same instructions, whatever the number of rows.
+A block of rows is loaded into lanes, a formula works on them (``fastatt.codegen.lanes``), and its
+results are stored. The last block is filled with copies of the last row, so that every row is
+computed by the same instructions, whatever the number of rows. Arrays are (S, B, k) with any
+strides: a stride of 0 says which rows, or samples, share numbers.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
-from fastatt._jit import address_loop
-from fastatt.codegen.call import call_generated, reals, wholes
+import numpy as np
+from numba import types
 
-#: the table of ``run_rows``: address of the function and of its resources, rows in all, the length
-#: of the last leading axis, samples, the first row of lanes with results, how many inputs and
-#: outputs. Address, strides along both leading axes and from sample to sample, and width of each
-#: input follow, address and width of each output
-ENTRY, WHOLE, TOTAL, INNER, SAMPLES, RESULTS, N_INPUTS, N_OUTPUTS, ARRAYS = range(9)
+from fastatt._jit import loop_part, machine
+from fastatt.codegen.call import TYPES, call
+
+#: inputs and results of ``perform_rows``, filled up with arrays of no columns
+INPUTS, RESULTS = 6, 5
 
 
-def _run_rows(kind: str, block: int) -> Callable[..., int]:
-    def run_rows(numbers: int, memory: int, places: int, first: int, last: int) -> int:
-        """Rows [first, last) of the arrays in the table, all by their addresses.
+@loop_part
+def load(source, sample, first_row, rows, to):
+    """Copy rows of an array to lanes; its last row serves the lanes after it."""
+    first_row = min(first_row, source.shape[1] - 1)
+    count = min(rows.shape[1], source.shape[1] - first_row)
+    lanes, own = rows[to : to + source.shape[2]], source[sample, first_row : first_row + count]
+    for i in range(lanes.shape[0]):
+        for j in range(count):
+            lanes[i, j] = own[j, i]
+    if count < lanes.shape[1]:
+        for i in range(lanes.shape[0]):
+            for j in range(count, lanes.shape[1]):
+                lanes[i, j] = lanes[i, count - 1]
 
-        ``memory`` is the address of the formula's rows, and ``places`` that of 3 blocks of numbers.
-        Of each sample after the first those inputs are read that have a stride from one to the
-        next.
-        """
-        table = wholes(numbers)
-        total, inner = table[TOTAL], table[INNER]
-        rows, whole, place = reals(memory, kind), wholes(table[WHOLE]), wholes(places)
-        for base in range(first, last, block):
-            count = min(block, last - base)
-            s, b = base // inner, base % inner
-            # usually the rows of a block are successive along the last axis
-            follow = b + block <= inner
-            for j in range(0 if follow else block):
-                place[block + j], place[2 * block + j] = s, b
-                if base + j + 1 < total:
-                    b += 1
-                    if b == inner:
-                        s, b = s + 1, 0
-            for sample in range(table[SAMPLES]):
-                at, to = ARRAYS, 0
-                for _ in range(table[N_INPUTS]):
-                    source, outer, step = reals(table[at], kind), table[at + 1], table[at + 2]
-                    later, width = table[at + 3], table[at + 4]
-                    at += 5
-                    if sample > 0 and later == 0:
-                        to += width * block
-                        continue
-                    shift = sample * later
-                    first_of = s * outer + b * step + shift
-                    for j in range(0 if follow else block):
-                        row = place[block + j] * outer + place[2 * block + j] * step
-                        place[j] = row + shift
-                    for i in range(width):
-                        if follow:
-                            for j in range(block):
-                                rows[to + j] = source[first_of + j * step + i]
-                        else:
-                            for j in range(block):
-                                rows[to + j] = source[place[j] + i]
-                        to += block
-                call_generated(table[ENTRY], 0, (rows, whole), (count,))
-            to = table[RESULTS] * block
-            for _ in range(table[N_OUTPUTS]):
-                target, width = reals(table[at], kind), table[at + 1]
-                for i in range(width):
-                    for j in range(count):
-                        target[(base + j) * width + i] = rows[to + j]
-                    to += block
-                at += 2
-        return last
 
-    return run_rows
+@loop_part
+def store(rows, source, to, sample, first_row, count):
+    """Copy lanes to rows of an array."""
+    lanes, own = rows[source : source + to.shape[2]], to[sample, first_row : first_row + count]
+    for i in range(lanes.shape[0]):
+        for j in range(count):
+            own[j, i] = lanes[i, j]
+
+
+def perform_rows(entry, whole, rows, sources, results, first_result, first_row, last_row):
+    """Apply a formula to the rows [first_row, last_row) of all samples, one after the other.
+
+    What is the same for the next sample, or the next rows, is not loaded again. ``whole`` is the
+    address of the formula's resources; ``first_result`` is the first row of lanes with results, 0
+    for a state that goes from sample to sample.
+    """
+    for b in range(first_row, last_row, rows.shape[1]):
+        count = min(last_row - b, rows.shape[1])
+        for s in range(sources[0].shape[0]):
+            to = 0
+            for source in sources:
+                if source.shape[2] == 0:
+                    break
+                is_sampled = source.strides[0] != 0 and source.shape[0] > 1
+                is_new = is_sampled or (s == 0 and source.strides[1] != 0)
+                if is_new or (s == 0 and b == first_row):
+                    load(source, s, b, rows, to)
+                to += source.shape[2]
+            call(entry, 0, (rows, whole), (count,))
+            at = first_result
+            for result in results:
+                if result.shape[2] == 0:
+                    break
+                store(rows, at, result, s, b, count)
+                at += result.shape[2]
 
 
 @functools.cache
-def row_loop(kind: str, block: int) -> Callable[..., int]:
-    """``run_rows(numbers, memory, places, first, last)`` for a precision and lanes in a block."""
-    return address_loop(_run_rows(kind, block))
+def row_machine(kind: str) -> Callable[..., None]:
+    """``perform_rows`` for a precision."""
+    real, n = TYPES[kind], types.int64
+    source, result = types.Array(real, 3, "A", readonly=True), types.Array(real, 3, "A")
+    arrays = types.UniTuple(source, INPUTS), types.UniTuple(result, RESULTS)
+    return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n, n))
+
+
+def filled(arrays: list[Any], n: int) -> tuple[Any, ...]:
+    """The arrays with columns, then as many without as are missing to ``n``."""
+    wide, shape = [x for x in arrays if x.shape[2]], (*arrays[0].shape[:2], 0)
+    return *wide, *[np.empty(shape, arrays[0].dtype)] * (n - len(wide))
+
+
+def joined(arrays: list[Any], n: int) -> list[Any]:
+    """At most ``n`` arrays, the last of which has the columns of those that are too many."""
+    if len(arrays) <= n:
+        return arrays
+    return [*arrays[: n - 1], np.concatenate(arrays[n - 1 :], axis=-1)]

@@ -12,20 +12,20 @@ import math
 from array import array
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from functools import partial
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import config
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from fastatt._fork import cached_property
-from fastatt.codegen.lanes import LaneFormula, Memory, Place, Shape, lane_function
-from fastatt.codegen.memory import DTYPES, address_of
+from fastatt._cached import cached_property
+from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
+from fastatt.codegen.memory import DTYPES, address_of, aligned
 from fastatt.codegen.processor import processor
-from fastatt.codegen.row_loops import TOTAL, row_loop
+from fastatt.codegen.row_loops import INPUTS, RESULTS, filled, joined, row_machine
 from fastatt.threads import each_in_threads
-from fastatt.tracing.traced import WIDEST, Traced, Tuple, plain, trace
+from fastatt.tracing.traced import WIDEST, Traced, Tuple, trace
 
 _VECTORS = 4  # vectors of a block
 # rows for which another thread saves time, in blocks and one by one
@@ -39,21 +39,16 @@ Width = int | None
 
 
 class _Made(NamedTuple):
-    """A formula compiled for blocks of some rows: Numba's function, and its memory."""
+    """A formula compiled for blocks: Numba's function, and its number of rows of lanes."""
 
     function: Any
-    block: int
-    memory: Memory
+    shape: Shape
+    rows: int
 
-
-class _Source(NamedTuple):
-    """An input: strides along both leading axes and from sample to sample, numbers in a row."""
-
-    array: Array
-    outer: int
-    inner: int
-    later: int
-    width: int
+    def memory(self) -> Array:
+        """Rows of lanes for one thread."""
+        kind, block = DTYPES[self.shape.kind], self.shape.block
+        return aligned(self.rows * block, kind).reshape(self.rows, block)
 
 
 class RowFunction:
@@ -63,7 +58,7 @@ class RowFunction:
     in the order of ``inputs``, and returns numbers in tuples, nested in any way. It may read
     tables, which a call provides, and call functions that are not traced. ``inputs`` are widths by
     name, ``outputs`` those of the output arrays; ``kind`` is the precision of all, "double" or
-    "single".
+    "single". ``native`` formulas are for machine code only (``fastatt.tracing.native``).
     """
 
     _widest = WIDEST
@@ -74,8 +69,10 @@ class RowFunction:
         inputs: Mapping[str, Width],
         outputs: Sequence[Width],
         kind: str = "double",
+        *,
+        native: bool = False,
     ) -> None:
-        self._function = function
+        self._function, self._native = function, native
         self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
         self._dtype = DTYPES[kind]
         #: total widths of the inputs and of the outputs
@@ -86,17 +83,19 @@ class RowFunction:
     @cached_property
     def traced(self) -> Traced:
         """The function's operations."""
-        return self._trace(self._widest)
-
-    def _trace(self, widest: int) -> Traced:
         forms = [
             self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
         ]
-        made = trace(self._function, forms, widest, self.kind)
+        made = trace(self._function, forms, self._widest, self.kind, native=self._native)
         count = len(made.flat.results)
         if count != self._given:
             raise ValueError(f"function: gives {count} numbers; accepted: {self._given}")
         return made
+
+    @cached_property
+    def _resources(self) -> Sequence[tuple[str, Any]]:
+        """The function's resources in memory."""
+        return self.traced.resources
 
     @cached_property
     def _shape(self) -> Shape:
@@ -121,48 +120,46 @@ class RowFunction:
         by_lanes = traced.lanes == 1 and traced.loop is None
         results = [Place(row) for row in range(first, first + self._given)]
         formula = LaneFormula(traced.flat if by_lanes else traced, inputs, results)
-        function = lane_function(shape, [formula], traced.resources)
-        memory = Memory(shape, self._taken + self._given, 3)
-        return _Made(function, shape.block, memory)
+        function = lane_function(shape, formula, self._resources)
+        return _Made(function, shape, self._taken + self._given)
 
-    def _table(
-        self,
-        made: _Made,
-        lengths: tuple[int, int, int],
-        sources: Sequence[_Source],
-        out: Sequence[Array],
-        whole: array[int],
-    ) -> array[int]:
-        """The table of ``run_rows``; the lengths are rows, those of the last axis, and samples."""
-        numbers = [made.function.address, _first(whole), *lengths, self._first_result]
-        numbers += [len(sources), len(out)]
-        for x, *rest in sources:
-            numbers += [address_of(x), *rest]
-        for x, n in zip(out, self.outputs, strict=True):
-            numbers += [address_of(x), _count(n)]
-        return array("q", numbers)
+    def _run(
+        self, sources: list[Array], results: list[Array], whole: array[int], n_threads: int
+    ) -> None:
+        """Apply the function to arrays (S, B, k), all rows of a sample before the next sample."""
+        made, least = self._made, _LEAST if self._made.shape.block > 1 else _LEAST_ONE_BY_ONE
+        run, inputs, outputs = (
+            row_machine(self.kind),
+            filled(sources, INPUTS),
+            filled(results, RESULTS),
+        )
+        (samples, n), at = results[0].shape[:2], _first(whole)
+        entry, first = made.function.address, self._first_result
 
-    def _run(self, table: array[int], n_threads: int, least: int) -> None:
-        """Run the loop over all rows; ``least`` rows are worth another thread."""
-        made = self._made
-        loop = row_loop(self.kind, made.block)
+        def some(a: int, z: int) -> None:
+            run(entry, at, made.memory(), inputs, outputs, first, a, z)
 
-        def run(first: int, last: int) -> None:
-            _held, *at = made.memory.made()
-            loop(_first(table), *at, first, last)
+        def samples_of(a: int, z: int) -> None:
+            pairs = ([x[a:z] for x in each] for each in (inputs, outputs))
+            run(entry, at, made.memory(), *map(tuple, pairs), first, 0, n)
 
-        in_pieces(table[TOTAL], n_threads, run, least)
+        if samples > 1 and self._first_result:
+            in_pieces(samples, n_threads, samples_of, -(-least // n), max(1, _PIECE // n))
+        else:
+            in_pieces(n, n_threads, some, -(-least // samples), max(1, _PIECE // samples))
 
     def __call__(
         self,
         *arrays: Any,
         tables: Mapping[int, Array] | None = None,
         n_threads: int = 1,
+        out: Sequence[Array] = (),
     ) -> tuple[Array, ...]:
         """(..., width) of each output from (..., width) of each input.
 
         The leading axes broadcast against each other without copies. ``tables`` are read by the
-        function, by number. Results do not depend on ``n_threads``.
+        function, by number. The results are written into ``out``, whose rows may have gaps between
+        them, if it is given. Results do not depend on ``n_threads``.
 
         Raises ``ValueError`` for shapes that do not fit.
         """
@@ -171,8 +168,6 @@ class RowFunction:
             for (name, n), x in zip(self.inputs.items(), arrays, strict=True)
         ]
         lead = np.broadcast_shapes(*[x.shape[:-1] for x in given])
-        if without_compiler():
-            return self._in_python(plain(self._trace(0), tables or {}), lead, given)
         total = math.prod(lead)
         if len(lead) > 2 and total:
             # more than two axes are reshaped to two, with a copy only if their strides do not fit
@@ -180,15 +175,28 @@ class RowFunction:
                 np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, lead[-1], x.shape[-1])
                 for x in given
             ]
-        out = [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
+        out = out or [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
         if total:
+            shape = (-1, lead[-1] if lead else 1)
+            samples = total // shape[1]
+            results = [x.reshape(*shape, _count(n)) for x, n in zip(out, self.outputs, strict=True)]
+            sources = [np.broadcast_to(x, (samples, shape[1], x.shape[-1])) for x in given]
+            sources, wide = joined(sources, INPUTS), joined(results, RESULTS)
+            last = wide[-1]
             kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
-            whole = array("q", addresses(self.traced.resources, kept))
-            sources = [_Source(x, *_strides(x), 0, x.shape[-1]) for x in given]
-            lengths = total, lead[-1] if lead else 1, 1
-            table = self._table(self._made, lengths, sources, out, whole)
-            least = _LEAST_ONE_BY_ONE if self._made.block == 1 else _LEAST
-            self._run(table, n_threads, least)
+            whole = array("q", addresses(self._resources, kept))
+            if shape[1] < self._made.shape.block and shape[1] < samples:
+                # a lane for each sample
+                sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
+                for b in range(shape[1]):
+                    one, to = ([x[b : b + 1] for x in each] for each in (sources, wide))
+                    self._run(one, to, whole, n_threads)
+            else:
+                self._run(sources, wide, whole, n_threads)
+            if len(results) > RESULTS:
+                ends = np.cumsum([x.shape[2] for x in results[RESULTS - 1 :]])[:-1]
+                for x, columns in zip(results[RESULTS - 1 :], np.split(last, ends, 2), strict=True):
+                    x[...] = columns
         return tuple(out)
 
     def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
@@ -202,30 +210,14 @@ class RowFunction:
         for x in (*arrays, *out):
             if x.dtype != self._dtype or not x.flags.c_contiguous:
                 raise ValueError(f"arrays: found {x.dtype}; accepted: {self._dtype}, C-contiguous")
-        if without_compiler():
-
-            def slowly() -> None:
-                for x, found in zip(out, self(*arrays), strict=True):
-                    x[...] = found
-
-            return slowly
         n = len(out[0])
         made = self._made_for_few if 2 * n <= processor().lanes(self.kind) else self._made
-        widths = [math.prod(x.shape[1:]) for x in arrays]
-        sources = [
-            _Source(x, 0, 0 if len(x) == 1 else k, 0, k)
-            for x, k in zip(arrays, widths, strict=True)
-        ]
-        whole, (memory, *at) = array("q"), made.memory.made()
-        table = self._table(made, (n, n, 1), sources, out, whole)
-        run = row_loop(self.kind, made.block)
-        held, first = (arrays, out, whole, memory, table), _first(table)
-
-        def quickly() -> object:
-            assert held
-            return run(first, *at, 0, n)
-
-        return quickly
+        wide = [np.broadcast_to(x, (n, *x.shape[1:])).reshape(1, n, -1) for x in arrays]
+        run, whole, memory = row_machine(self.kind), array("q"), made.memory()
+        sources = filled(wide, INPUTS)
+        results = filled([x.reshape(1, n, -1) for x in out], RESULTS)
+        entry, first = made.function.address, self._first_result
+        return partial(run, entry, _first(whole), memory, sources, results, first, 0, n)
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
         """An input (..., n) in the precision, with the numbers of a row side by side."""
@@ -236,17 +228,6 @@ class RowFunction:
         if x.shape[-1:] != (n,):
             raise ValueError(f"{name}: has shape {x.shape}; accepted: (..., {n})")
         return x if n < 2 or x.strides[-1] == x.itemsize else np.ascontiguousarray(x)
-
-    def _in_python(
-        self, run: Callable[..., Any], lead: tuple[int, ...], given: Sequence[Array]
-    ) -> tuple[Array, ...]:
-        columns = [x[..., i] for x in given for i in range(x.shape[-1])]
-        made = [np.broadcast_to(np.asarray(x, self._dtype), lead) for x in run(columns)]
-        bounds = pairwise(accumulate(map(_count, self.outputs), initial=0))
-        return tuple(
-            np.stack(made[a:b], axis=-1).reshape((*lead, *_tail(n)))
-            for n, (a, b) in zip(self.outputs, bounds, strict=True)
-        )
 
 
 class LogFunction(RowFunction):
@@ -286,37 +267,21 @@ class LogFunction(RowFunction):
         ``sampled`` are (N, n, k) or (1, n, k), ``given`` (N, k) or (1, k), float64.
         """
         n_logs, n = len(start), max(x.shape[1] for x in sampled)
-        arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *given)]
-        # samples along an axis; an array without this axis, or with one sample, repeats it
-        wide = [
-            np.broadcast_to(x if x.ndim == 3 else x[:, None], (n_logs, n, x.shape[-1]))
-            for x in arrays
-        ]
+        own = [np.broadcast_to(x, (n_logs, x.shape[-1])) for x in given]
+        shared = [np.concatenate(own, axis=1)] if own else []
+        arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *shared)]
         state = arrays[0].copy()
-        if without_compiler():
-            run = plain(self.traced, {})
-            for i in range(n):
-                now = [state, *(x[:, i] for x in wide[1:])]
-                (state,) = self._in_python(run, (n_logs,), now)
-        elif n:
-            size = state.itemsize
-            sources = [
-                _Source(x, 0, x.strides[0] // size, x.strides[1] // size, x.shape[2]) for x in wide
-            ]
-            table = self._table(self._made, (n_logs, n_logs, n), sources, [state], array("q"))
-            self._run(table, n_threads, self._made.block)
+        if n:
+            # samples first; an array without them, or with one, repeats it
+            wide = [x.swapaxes(0, 1) if x.ndim == 3 else x[None] for x in arrays]
+            sources = [np.broadcast_to(x, (n, n_logs, x.shape[-1])) for x in wide]
+            last = as_strided(state, (n, *state.shape), (0, *state.strides))
+            self._run(sources, [last], array("q"), n_threads)
         return state
 
 
 def _count(width: Width) -> int:
     return 1 if width is None else width
-
-
-def _strides(x: Array) -> tuple[int, int]:
-    """Strides in numbers along the last two leading axes; 0 for an axis of length 1."""
-    lengths, strides = (1, 1, *x.shape[:-1]), (0, 0, *x.strides[:-1])
-    outer, inner = (0 if lengths[axis] == 1 else strides[axis] // x.itemsize for axis in (-2, -1))
-    return outer, inner
 
 
 def _first(numbers: array[int]) -> int:
@@ -353,14 +318,11 @@ def kind_of(dtype: Any) -> str:
     return "single" if np.dtype(dtype) == np.float32 else "double"
 
 
-def without_compiler() -> bool:
-    """Whether ``NUMBA_DISABLE_JIT`` requests plain Python."""
-    return bool(config.DISABLE_JIT)
-
-
-def in_pieces(n: int, n_threads: int, call: Callable[[int, int], Any], least: int) -> None:
-    """``call(first, last)`` over n rows, in pieces of at least ``least`` rows on each thread."""
-    pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // _PIECE))
+def in_pieces(
+    n: int, n_threads: int, call: Callable[[int, int], Any], least: int, most: int
+) -> None:
+    """``call(first, last)`` over n rows, in pieces of ``least`` to ``most`` rows on each thread."""
+    pieces = max(min(_PIECES * n_threads if n_threads > 1 else 1, n // least), -(-n // most))
     if pieces < 2:
         call(0, n)
         return

@@ -18,29 +18,29 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils, config
+from numba.core import cgutils
 from numba.core.errors import TypingError
 from numba.core.imputils import lower_builtin, lower_constant
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import signature
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
+from fastatt._cached import cached_property
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import POINTERS, write
 from fastatt.codegen.instructions import Code
-from fastatt.codegen.kept_formulas import Formula, mark
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
 from fastatt.tracing.graph import flattened
 from fastatt.tracing.nodes import Recorded
 from fastatt.tracing.trace import traceable
-from fastatt.tracing.traced import Traced, Tuple, flattened_forms, plain, trace
+from fastatt.tracing.traced import Traced, Tuple, flattened_forms, trace
 
 _TYPES = {**TYPES, "truth": types.boolean}
 _KINDS = {of: kind for kind, of in TYPES.items()}
 
 
-class ScalarFunction(Formula):
+class ScalarFunction:
     """A formula as a function for jitted code, and for Python.
 
     ``function`` is a kernel or a plain function of traced numbers, which is called as it is; with
@@ -51,13 +51,13 @@ class ScalarFunction(Formula):
     names the arguments that may also be arrays of one axis, in place of tuples, with the number of
     elements that are read.
 
-    Code that calls it contains the formula at that time. Numba loads such code from disk if the
-    formula is still the same (``kept_formulas``). If the formula reads tables or calls a
-    user-defined function, which have addresses in this process, Numba keeps nothing, and warns of
-    ``@njit(cache=True)``. ``constants`` are further properties on which the callers' code depends.
+    Code that calls it contains the formula at that time. Numba keeps no such code on disk, since it
+    would not notice that the formula has become another one, and warns of ``@njit(cache=True)``.
 
     To choose between two of them by an ``if``, write a function that calls both.
     """
+
+    __name__: str
 
     def __init__(
         self,
@@ -66,10 +66,8 @@ class ScalarFunction(Formula):
         *,
         arrays: Mapping[str, int] | None = None,
         rewritten: bool = False,
-        constants: str = "",
     ) -> None:
         functools.update_wrapper(self, function)
-        self.constants = constants
         self._function = function
         self._rewritten = rewritten or isinstance(function, CPUDispatcher)
         self.tables = {
@@ -84,7 +82,7 @@ class ScalarFunction(Formula):
         # the forms of the last call from Python, which the next call most likely has too
         self._last: tuple[Callable[..., Any], Callable[..., Any]] | None = None
 
-    @functools.cached_property
+    @cached_property
     def formula(self) -> Callable[..., Any]:
         """The function of traced numbers, made when everything that it refers to exists."""
         return traceable(self._function) if self._rewritten else self._function
@@ -114,8 +112,7 @@ class ScalarFunction(Formula):
             return self.formula(*args)
         forms = tuple(_form_of(x, self.__name__) for x in args)
         if forms not in self._compiled:
-            made = self._in_python if config.DISABLE_JIT else self._in_memory
-            self._compiled[forms] = _unpacking(forms), made(forms)
+            self._compiled[forms] = _unpacking(forms), self._in_memory(forms)
         self._last = self._compiled[forms]
         return self._last[1](numbers)
 
@@ -126,7 +123,7 @@ class ScalarFunction(Formula):
         places = [Place(k) for k in range(n + count)]
         inputs = {("x", k): place for k, place in enumerate(places[:n])}
         formula = LaneFormula(traced, inputs, places[n:])
-        made = lane_function(Shape("double", 1, 1), [formula], traced.resources)
+        made = lane_function(Shape("double", 1, 1), formula, traced.resources)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
         run = ctypes.CFUNCTYPE(None, number, pointer, pointer, number)(made.address)
         run.function = made  # type: ignore[attr-defined]  # it lives as long as its machine code
@@ -145,11 +142,6 @@ class ScalarFunction(Formula):
             return assembled(unpack(memory, 8 * n))
 
         return call
-
-    def _in_python(self, forms: tuple[Any, ...]) -> Callable[[Sequence[float]], Any]:
-        traced = trace(self.formula, forms, 0)
-        run, assembled = plain(traced, self.tables), _assembling(traced.form)
-        return lambda numbers: assembled(run(numbers))
 
 
 scalar_function = ScalarFunction
@@ -286,10 +278,7 @@ class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
         traced = self.scalar.traced(forms)
         code = Code(builder)
         keys, pointers = traced.resources, {}
-        if keys:
-            _never_kept(builder.module)
-        else:
-            mark(context, self.scalar, forms)
+        _never_kept(builder.module)
         for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):
             pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
             pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])

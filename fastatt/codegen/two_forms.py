@@ -4,51 +4,45 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import Any
 
 from numba.core.compiler_lock import global_compiler_lock
-from numpy.typing import NDArray
-
-from fastatt.codegen.memory import address_of
 
 
 class TwoForms(ABC):
     """The function that a loop calls; its any-angle form is compiled when first needed.
 
-    ``entry`` and ``any_angle`` are addresses, or Python functions if ``plain``; ``any_angle`` is 0
-    until ``compile_any_angle``. With ``one_form`` both are the same.
+    ``entry`` and ``any_angle`` are addresses; ``any_angle`` is 0 until ``compile_any_angle``. With
+    ``one_form`` both are the same.
     """
 
-    def __init__(self, *, plain: bool, one_form: bool = False) -> None:
-        self.plain = plain
+    def __init__(self, *, one_form: bool = False) -> None:
         made = self._compiled(small_angle=True)
-        #: the forms that are compiled
+        #: the compiled forms; their machine code lives as long as these
         self.functions = [made]
-        self.entry = made if plain else made.address
-        self.any_angle: Any = self.entry if one_form else 0
+        self.entry = made.address
+        self.any_angle: int = self.entry if one_form else 0
         self._memory = threading.local()
 
     @abstractmethod
     def _compiled(self, *, small_angle: bool) -> Any:
-        """One of the forms: a function of Numba's, or of Python if ``plain``."""
+        """Numba's ``CFunc`` of one of the forms."""
 
     @abstractmethod
-    def _new_memory(self) -> Sequence[NDArray[Any]]:
-        """Arrays for one thread's calls of the loop."""
+    def _new_memory(self) -> Any:
+        """The memory of one thread."""
 
     def compile_any_angle(self) -> None:
         """Compile the any-angle form, if it is not compiled."""
-        with global_compiler_lock:  # a fork waits for it
+        with global_compiler_lock:
             if self.any_angle == 0:
                 made = self._compiled(small_angle=False)
                 self.functions.append(made)
-                self.any_angle = made if self.plain else made.address
+                self.any_angle = made.address
 
-    def memory(self) -> list[Any]:
-        """The calling thread's memory, in the form that the loop takes."""
+    def memory(self) -> Any:
+        """The calling thread's memory."""
         own = self._memory
-        if not hasattr(own, "places"):
-            own.arrays = self._new_memory()
-            own.places = own.arrays if self.plain else [address_of(x) for x in own.arrays]
-        return own.places  # type: ignore[no-any-return]
+        if not hasattr(own, "made"):
+            own.made = self._new_memory()
+        return own.made

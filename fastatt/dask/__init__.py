@@ -13,6 +13,5 @@ except ImportError:
     ) from None
 
 from fastatt.dask.runs import LazyTrajectory, propagate
-from fastatt.dask.statistics import Drifts, drift_statistics, work_precision
 
-__all__ = ["Drifts", "LazyTrajectory", "drift_statistics", "propagate", "work_precision"]
+__all__ = ["LazyTrajectory", "propagate"]

@@ -1,33 +1,39 @@
-"""Propagation in chunks, with attitudes as Dask arrays."""
+"""Propagation in chunks, with the results as Dask arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from itertools import accumulate
 from typing import Any
 
-import dask
+import dask.array as da
 import numpy as np
-from numpy.typing import NDArray
+from dask.base import DaskMethodsMixin
+from dask.delayed import Delayed, delayed
+from dask.highlevelgraph import HighLevelGraph
 
-from fastatt import checks
-from fastatt.attitudes import Attitude
-from fastatt.dask.chunks import Bodies, like
-from fastatt.methods import METHODS, Method
-from fastatt.propagation import closed_form
+from fastatt import checks, rounding
+from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.event import Event, events_of
-from fastatt.propagation.initial import INITIAL
+from fastatt.propagation.initial import INITIAL, initial
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate as run_chunk
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
+# bodies of a chunk, for 0.5 s of a thousand steps and 6 MB of states
+_CHUNK = 100_000
+
 
 @dataclass(frozen=True, eq=False)
-class LazyTrajectory:
+class LazyTrajectory(DaskMethodsMixin):  # type: ignore[misc]
     """The trajectory of a lazy run, a Dask collection in chunks of bodies.
+
+    ``compute()`` runs and returns the :class:`Trajectory` of the whole ensemble.
 
     Attributes
     ----------
@@ -42,97 +48,61 @@ class LazyTrajectory:
         m, for a scene with mass.
     s : dask.array.Array of shape (S, N, n)
         States, for a scene with n states.
+    status : dask.array.Array of shape (N,)
+        Status of each body.
+    event_times : dask.array.Array of shape (N, E)
+        Times of the events, s, for a run with events.
     method : str
         Name of the method.
     """
 
-    t: NDArray[np.float64]
+    t: Any
     method: str
-    #: the trajectory of each chunk
-    runs: Any = field(repr=False)
-    bodies: Bodies = field(repr=False)
-    dtype: Any
-    #: the number of events
-    events: int = 0
+    #: the trajectory of each chunk, with its number of bodies
+    runs: list[tuple[Any, int]] = field(repr=False)
+    #: the shape of each array before and after the axis of bodies, and its type
+    arrays: dict[str, tuple[Any, ...]] = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
-        # Dask's protocol of collections: that of the array of chunks
-        if name.startswith("__dask_"):
-            return getattr(self.runs, name)
-        tails = {"q": (4,), "w": (3,), "dcm": (3, 3)}
-        if self.bodies.scene.moves:
-            tails["v"] = (3,)
-        if self.bodies.given[INITIAL.index("r0")] is not None:
-            tails["r"] = (3,)
-        if self.bodies.scene.states:
-            tails["s"] = (self.bodies.scene.states,)
-        if name not in tails:
-            raise AttributeError(f"{name}: found none; accepted: {', '.join(tails)}, status, t")
-        return self.bodies.array(self.runs, name, (self.t.size,), self.dtype, tails[name])
+        if name.startswith("_") or name not in self.arrays:
+            raise AttributeError(f"{name}: found none; accepted: t, {', '.join(self.arrays)}")
+        saves, tail, kind = self.arrays[name]
+        blocks = [da.from_delayed(getattr(x, name), (*saves, n, *tail), kind) for x, n in self.runs]
+        return da.concatenate(blocks, axis=len(saves))
 
-    @property
-    def status(self) -> Any:
-        """Status of each body: (N,)."""
-        return self.bodies.array(self.runs, "status", (), np.uint8, ())
+    # Dask's protocol of collections: the trajectories of the chunks
+    __dask_optimize__ = staticmethod(da.Array.__dask_optimize__)
+    __dask_scheduler__ = staticmethod(da.Array.__dask_scheduler__)
 
-    @property
-    def event_times(self) -> Any:
-        """Times of the events, s: (N, E). For a run with events."""
-        return self.bodies.array(self.runs, "event_times", (), np.float64, (self.events,))
+    def __dask_graph__(self) -> Any:
+        return HighLevelGraph.merge(*(run.dask for run, _ in self.runs))
 
-    def compute(self, **options: Any) -> Trajectory:
-        """Run and return the trajectory.
-
-        Parameters
-        ----------
-        **options : dict
-            Keyword arguments of ``dask.compute``.
-
-        Returns
-        -------
-        Trajectory
-            The trajectory of the whole ensemble.
-        """
-        (found,) = dask.compute(self, **options)
-        return found  # type: ignore[no-any-return]
+    def __dask_keys__(self) -> list[Any]:
+        return [run.key for run, _ in self.runs]
 
     def __dask_postcompute__(self) -> tuple[Callable[..., Trajectory], tuple[()]]:
         return _joined, ()
 
-    def __dask_postpersist__(self) -> tuple[Callable[..., LazyTrajectory], tuple[Any, ...]]:
-        return _persisted, (self, *self.runs.__dask_postpersist__())
+    def __dask_postpersist__(self) -> tuple[Callable[..., LazyTrajectory], tuple[()]]:
+        return self._persisted, ()
+
+    def _persisted(self, graph: Any) -> LazyTrajectory:
+        return replace(self, runs=[(Delayed(run.key, graph), n) for run, n in self.runs])
 
 
 def _joined(runs: Sequence[Trajectory]) -> Trajectory:
     """The trajectories of chunks, joined."""
-
-    def all_of(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(run, name) for run in runs], axis=1)
-
-    carried = {
-        name: np.concatenate([run.carried[name] for run in runs], axis=1)
-        for name in runs[0].carried
-    }
-    status = np.concatenate([run.status for run in runs])
-    return replace(
-        runs[0],
-        state=all_of("state"),
-        norm_error=all_of("norm_error"),
-        status=status,
-        carried=carried,
-        found=None if runs[0].found is None else np.concatenate([run.found for run in runs]),
-    )
-
-
-def _persisted(
-    graph: Any, lazy: LazyTrajectory, rebuild: Callable[..., Any], given: Any, **options: Any
-) -> LazyTrajectory:
-    return replace(lazy, runs=rebuild(graph, *given, **options))
+    axes = {"state": 1, "norm_error": 1, "status": 0}
+    if runs[0].found is not None:
+        axes["found"] = 0
+    joined: Any = {k: np.concatenate([getattr(run, k) for run in runs], axes[k]) for k in axes}
+    carried = {k: np.concatenate([run.carried[k] for run in runs], 1) for k in runs[0].carried}
+    return replace(runs[0], carried=carried, **joined)
 
 
 def propagate(
     scene: Scene,
-    q0: Any = None,
+    q0: Any,
     w0: Any = None,
     *,
     v0: Any = None,
@@ -143,7 +113,7 @@ def propagate(
     t_end: float | None = None,
     chunks: int | Sequence[int] | None = None,
     method: str | Method | None = None,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     save_every: int | None = None,
     dtype: Any = None,
     t0: float = 0.0,
@@ -182,7 +152,7 @@ def propagate(
         or else 100 000.
     method : str or Method, optional
         The method, as in :func:`fastatt.propagate`.
-    representation : str or Attitude, default "quat"
+    representation : str, default "quat"
         The representation, as in :func:`fastatt.propagate`.
     save_every : int, optional
         Number of steps between saves, as in :func:`fastatt.propagate`.
@@ -223,38 +193,84 @@ def propagate(
     (1, 5, 4)
     """
     watched = events_of(events)
-    record, named = sent(scene, method, representation, compensated, normalise, watched)
-    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
-    begin = checks.real("t0", t0)
-    flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
-    given = (q0, w0, v0, r0, s0)
-    bodies = Bodies.of(scene, given, chunks, flag=flag)
-    kind = checks.precision(dtype, *map(like, given))
+    record = chosen(as_scene(scene), method, representation, compensated, normalise, watched).method
+    t = Clock.of(dt, n_steps, save_every, t_end=t_end).times(checks.real("t0", t0))
+    flag = checks.flags_invalid(invalid)
+    given = dict(zip(INITIAL, (q0, w0, v0, r0, s0), strict=True))
+    lazy = {name: x for name, x in given.items() if isinstance(x, da.Array)}
+    for name, x in lazy.items():
+        if np.isnan(x.shape).any():
+            raise ValueError(f"{name}: found unknown sizes; accepted: after compute_chunk_sizes()")
+    start, beside = initial(scene, [*map(_like, given.values())], flag=flag)
+    values = {"q0": start, **beside, **lazy}
+    n = max((len(x) for x in values.values() if x.ndim == 2), default=0)
+    if n == 0:
+        raise ValueError("q0: found one body; accepted: (N, 4), or another with N rows")
+    scene.packed(n)  # raises for another number of bodies
+    kind = checks.precision(dtype, *map(_like, given.values()))
     options = {
-        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "method": named,
-        "dtype": kind, "representation": representation, "compensated": compensated,
-        "normalise": normalise, "invalid": invalid, "t0": begin, "events": watched,
+        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "dtype": kind,
+        "method": record, "representation": representation, "compensated": compensated,
+        "normalise": normalise, "invalid": invalid, "t0": t0, "events": watched, "n_threads": 1,
     }  # fmt: skip
-    runs = bodies.mapped(partial(_propagated, options=options))
-    return LazyTrajectory(clock.times(begin), record.name, runs, bodies, kind, len(watched))
+    sizes = _sizes(chunks, n, lazy.values())
+    blocks = zip(*(_blocks(x, n, sizes) for x in values.values()), strict=True)
+    rows = zip(accumulate(sizes, initial=0), accumulate(sizes), blocks, strict=False)
+    is_divided = scene.packed(None).params.ndim == 2
+    # sent once to each worker
+    whole, shared = delayed(scene, traverse=False), delayed(options, traverse=False)
+    runs = [
+        delayed(_run)(scene[a:b] if is_divided else whole, shared, a, b, [*values], *block)
+        for a, b, block in rows
+    ]
+    tails = {"q": 4, "w": 3, **scene.carried(position=r0 is not None)}
+    arrays: Any = {name: ((t.size,), (k,), kind) for name, k in tails.items()}
+    arrays["status"] = (), (), np.uint8
+    if watched:
+        arrays["event_times"] = (), (len(watched),), np.float64
+    return LazyTrajectory(t, record.name, [*zip(runs, sizes, strict=True)], arrays)
 
 
-def sent(
-    scene: Scene,
-    method: str | Method | None,
-    representation: str | Attitude,
-    compensated: bool = False,
-    normalise: str | int = "output",
-    events: tuple[Event, ...] = (),
-) -> tuple[Method, str | Method]:
-    """A method that fits the whole ensemble, and the form in which it is sent."""
-    record = chosen(
-        as_scene(scene), method, representation, compensated, normalise, events=events
-    ).method
-    return record, record.name if METHODS.get(record.name) is record else record
+def _like(x: Any) -> Any:
+    """An array of ones in place of one that Dask computes; anything else is returned as it is."""
+    return np.broadcast_to(np.ones((), x.dtype), x.shape) if isinstance(x, da.Array) else x
 
 
-def _propagated(scene: Scene, states: Sequence[Any], options: dict[str, Any]) -> Trajectory:
+def _sizes(chunks: Any, n: int, lazy: Iterable[Any]) -> tuple[int, ...]:
+    """The number of bodies of each chunk."""
+    if chunks is None:
+        chunks = next((x.chunks[0] for x in lazy if x.ndim == 2 and len(x) == n), _CHUNK)
+    if not np.iterable(chunks):
+        size = checks.whole("chunks", chunks, 1)
+        return tuple(min(size, n - a) for a in range(0, n, size))
+    sizes = tuple(checks.whole("chunks", size, 1) for size in chunks)
+    if sum(sizes) != n:
+        raise ValueError(f"chunks: found {sum(sizes)} bodies in all; accepted: {n}")
+    return sizes
+
+
+def _blocks(x: Any, n: int, sizes: tuple[int, ...]) -> list[Any]:
+    """The initial values of each chunk, or the one row that all of them share."""
+    x = x[0] if x.ndim == 2 and len(x) < n else x
+    if isinstance(x, da.Array):
+        blocks: list[Any] = x.rechunk((sizes, -1)[2 - x.ndim :]).to_delayed().ravel().tolist()
+        return blocks * (len(sizes) // len(blocks))
+    return np.split(x, [*accumulate(sizes[:-1])]) if x.ndim == 2 else [x] * len(sizes)
+
+
+def _run(scene: Scene, options: Any, first: int, end: int, names: Any, *values: Any) -> Trajectory:
     """The trajectory of a chunk, with its rates as numbers, without the scene."""
-    run = run_chunk(scene, **dict(zip(INITIAL, states, strict=True)), n_threads=1, **options)
+    with rounding.noted() as texts:
+        try:
+            run = run_chunk(scene, **dict(zip(names, values, strict=True)), **options)
+        except Exception as error:
+            error.add_note(f"in the chunk of bodies {first} to {end - 1}")
+            raise
+        finally:
+            # that of distributed, on a worker, warns in the client's process
+            warn: Any = sys.modules.get("distributed", warnings).warn
+            for text in texts:
+                of_flags = text.startswith("status: ")
+                category = RuntimeWarning if of_flags else rounding.StepWarning
+                warn(f"bodies {first} to {end - 1}: {text}", category)
     return replace(run, carried={"w": run.w, **run.carried}, packed=None, end=None)

@@ -1,17 +1,42 @@
-"""Events in the generated step: user-defined functions at the end of each step."""
+"""Events: marks in the generated step, and the location of crossings between two steps.
+
+A formula after each step keeps the state before the first step in which a function may cross zero.
+When a tape has been performed, all marked bodies are located at once, by shorter steps from there.
+A body whose mark was a false alarm performs the tape again, with later marks alone.
+
+At the begin of a run and after breakpoints there are no values of earlier steps, so that one in the
+middle of the step takes their place.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from fastatt.engine.brackets import crosses, turns
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.engine.status import is_number
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
-from fastatt.tracing.graph import Double, choose
+from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
 from fastatt.tracing.user import UserFunction
 
 if TYPE_CHECKING:
     from fastatt.engine.job import Scope
+
+#: what a body keeps of each event: the values after the last two steps, or at both ends of the
+#: marked step; whether there is one; times, each in two numbers: of the end of a step up to which
+#: marks are ignored, and of the end of the marked step
+EVENT = ("before", "after", "mark", "skip", "skip_low", "end", "end_low")
+# evaluations of an extremum, and of a bracket, at most
+_FEW, _MOST = 10, 80
+_SMALLEST = float(np.finfo(np.float64).tiny)
+
+Times = NDArray[np.float64]
+#: shares of steps, and values there
+Points = tuple[Times, Times]
 
 
 class Watch(NamedTuple):
@@ -28,39 +53,231 @@ class Watch(NamedTuple):
         return len(self.function.form.before) > 4
 
 
-def values(scope: Scope) -> Vector:
-    """The functions of the events, at the state after the given number of steps."""
-    if not scope.job.events:
-        return ()
-    t, since = scope.time(), scope.number("since")
-    x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-    own, structure = scope.parts(x)[0], scope.job.structure
+def sizes(events: Sequence[Watch], size: int, extras: int) -> dict[str, int]:
+    """The rows that a body needs for its events: how many of each group.
+
+    ``size`` numbers are the stepped variables, ``extras`` those that the method prepared.
+    """
+    n = len(events)
+    return {
+        "last": size * (n > 0), "marked": (size + extras) * n, "event": len(EVENT) * n,
+        "held": int(n > 0), "middle": n,
+    }  # fmt: skip
+
+
+def begun(events: Sequence[Watch], size: int, extras: int) -> list[float]:
+    """These rows when a run begins."""
+    n = sizes(events, size, extras)
+    event = [0.0 if name == "mark" else math.nan for name in EVENT]
+    unknown = [math.nan] * n["middle"]
+    return [*[0.0] * (n["last"] + n["marked"]), *event * n["middle"], *[0.0] * n["held"], *unknown]
+
+
+# the formulas
+
+
+def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
+    """The functions of the events at a state."""
+    structure, p = scope.job.structure, scope.p
     # velocity and position come before the states of the scene
     states = structure.turning.law.states
-    beside = tuple(map(Double, own[len(own) - structure.beside :]))
+    beside = tuple(map(Double, x[len(x) - structure.beside :]))
     moved, s = beside[: len(beside) - states], beside[len(beside) - states :]
-    p = scope.graph.inputs("double", "p", structure.turning.n_params)
     found = []
     for watch in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
-        given = p[len(p) - watch.function.n_params :]
+        own = p[: structure.turning.n_params]
+        given = own[len(own) - watch.function.n_params :]
         placed = (moved[:3], moved[3:]) if watch.reads_position else ()
-        found.append(scope.called(watch.function.given, t, own, *placed, s, given))
-    return tuple(found)
+        found.append(scope.called(watch.function.given, t, x, *placed, s, given))
+    return found
+
+
+def _now(scope: Scope) -> list[Any]:
+    kind = CLASSES[scope.kind]
+    return [kind(g) for g in values(scope, scope.time(), scope.left_now())]
+
+
+def look(scope: Scope) -> Flat:
+    """The stepped variables, and the values of events, from which steps go on.
+
+    Values after an earlier step stay, so that a function that jumps across zero crosses there.
+    """
+    pairs = zip((event["after"] for event in _events(scope)), _now(scope), strict=True)
+    values = [choose(is_number(after), after, now) for after, now in pairs]
+    return scope.finished((*scope.state(), *values))
+
+
+def _events(scope: Scope) -> list[dict[str, Any]]:
+    """What a body keeps of each event, by the names in ``EVENT``."""
+    rows = scope.inputs("event", len(EVENT) * len(scope.job.events))
+    return [
+        dict(zip(EVENT, rows[k : k + len(EVENT)], strict=True))
+        for k in range(0, len(rows), len(EVENT))
+    ]
+
+
+def middle(scope: Scope) -> Flat:
+    """The values in the middle of a step."""
+    return scope.finished(tuple(_now(scope)))
+
+
+def going_on(scope: Scope) -> Any:
+    """Whether a body goes on: no terminal event has a mark."""
+    goes_on = is_number(scope.graph.input("double", "dt"))  # true
+    for event, watch in zip(_events(scope), scope.job.events, strict=True):
+        goes_on = both(goes_on, negated(event["mark"] > 0.5)) if watch.terminal else goes_on
+    return goes_on
 
 
 def after_step(scope: Scope) -> Flat:
-    """For each function its value, that of the step before, and whether it may have crossed zero.
+    """After another step: what is kept of the first one in which each function may cross zero.
 
-    The inputs ("event", i) are these results after the step before.
+    The results are x, then the groups of ``sizes``, then the largest squared angle. A body stays
+    where it was before the step that is marked by a terminal event.
     """
-    watches, found = scope.job.events, values(scope)
-    n = len(watches)
-    rows = scope.inputs("event", 3 * n)
-    last, before, marks = rows[:n], rows[n : 2 * n], rows[2 * n :]
-    marked = []
-    for watch, a, b, x, mark in zip(watches, before, last, found, marks, strict=True):
-        c = type(b)(x)
-        test = crosses(b, c, watch.direction) | turns(a, b, c)
-        marked.append(choose(test, 1.0, mark))
-    return scope.finished((*found, *last, *marked))
+    watches, n = scope.job.events, scope.formulas.size
+    kind = CLASSES[scope.kind]
+    x, last, e = scope.state(), scope.inputs("last", n), scope.extras()
+    (angle,), (held,) = scope.inputs("angle", 1), scope.inputs("held", 1)
+    t, dt = scope.graph.input("double", "t"), scope.graph.input("double", "dt")
+    end = kind(t), kind(Double(t) - Double(kind(t)))
+    events, marked = _events(scope), scope.inputs("marked", (n + len(e)) * len(watches))
+    marks, goes_on = [event["mark"] > 0.5 for event in events], going_on(scope)
+    kept: list[Any] = []
+    places: list[Any] = []
+    stays: list[Any] = [*x]
+    middles = scope.inputs("middle", len(watches))
+    for i, (watch, now) in enumerate(zip(watches, _now(scope), strict=True)):
+        event, middle = events[i], middles[i]
+        # of the parabola through the last values; after a breakpoint of that through the middle
+        before, after = event["before"], event["after"]
+        first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * now, before)
+        may_cross = either(crosses(after, now, watch.direction), turns(first, after, now))
+        # not before the middle of the step that follows a time up to which marks are ignored
+        ahead = Double(t) - Double(event["skip"]) - Double(event["skip_low"])
+        is_early = ahead * dt < 0.5 * dt * dt
+        is_new = both(both(may_cross, negated(either(marks[i], is_early))), goes_on)
+        is_marked = either(marks[i], is_new)
+        before_step = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
+        place = [choose(is_new, y, z) for y, z in zip((*last, *e), before_step, strict=True)]
+        places += place
+        event["before"] = choose(marks[i], before, after)
+        event["after"] = choose(marks[i], after, now)
+        event["mark"] = choose(is_marked, 1.0, event["mark"])
+        event["end"] = choose(is_new, end[0], event["end"])
+        event["end_low"] = choose(is_new, end[1], event["end_low"])
+        kept += event.values()
+        if watch.terminal:
+            stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
+    most = choose(goes_on, angle, held)
+    nothing = [math.nan] * len(watches)
+    return scope.finished((*stays, *stays, *places, *kept, most, *nothing, most))
+
+
+def crosses(a: Any, b: Any, direction: int) -> Any:
+    """Whether a function that goes from a to b reaches or leaves zero, rising, falling or both."""
+    rises, falls = (a <= 0.0) & (b >= 0.0), (a >= 0.0) & (b <= 0.0)
+    if direction == 0:
+        return rises | falls
+    return rises if direction > 0 else falls
+
+
+def turns(a: Any, b: Any, c: Any) -> Any:
+    """Whether a parabola of twice the curvature of a, b and c crosses zero between b and c.
+
+    If the function crosses zero twice, the parabola does, unless the function's curvature doubles
+    within a step.
+    """
+    bend, slope = 2.0 * (a - 2.0 * b + c), c - b
+    square, steep = bend * bend, 4.0 * slope * slope
+    product = bend * (b + c)
+    return (product > 0.0) & (steep < square) & (4.0 * product < steep + square)
+
+
+# the location
+
+
+def locate(
+    value: Callable[[Times, Any], Times], at_low: Times, at_high: Times, direction: int,
+    least: Times,
+) -> Times:  # fmt: skip
+    """The shares of steps at which a function crosses zero, NaN where it does not.
+
+    ``value`` evaluates it at shares of some of the steps, at whose ends it has the given values;
+    ``least`` is the width that ends a bracket.
+    """
+    low, high = (np.zeros(at_low.size), at_low), (np.ones(at_low.size), at_high)
+    crossed = crosses(at_low, at_high, direction)
+    if not crossed.all():
+        rows = np.flatnonzero(~crossed)
+        first, last = ((share[rows], values[rows]) for share, values in (low, high))
+        *ends, crossed[rows] = _between(lambda x: value(x, rows), first, last, direction)
+        for bracket, new in zip((low, high), ends, strict=True):
+            bracket[0][rows], bracket[1][rows] = new
+    # brackets that are none are narrow already
+    low = low[0], np.where(crossed, low[1], 0.0)
+    return np.where(
+        crossed, _bracketed(lambda share: value(share, slice(None)), low, high, least), np.nan
+    )
+
+
+def _between(
+    value: Callable[[Times], Times], low: Points, high: Points, direction: int
+) -> tuple[Points, Points, Any]:
+    """Brackets of crossings within steps at whose ends a function has the same sign.
+
+    The extremum is searched until the function has the other sign, or bends away from zero. Where
+    it is exactly zero in between, it has crossed, and crosses back after that point.
+    """
+    side, point = np.copysign(1.0, low[1] + high[1]), np.full(low[0].size, 0.5)
+    inner, inside, todo = (point, value(point)), np.zeros(point.size, bool), point > 0.0
+    for trial in range(_FEW):
+        inner = inner[0], np.where(inner[1] == 0.0, -_SMALLEST * side, inner[1])
+        first = todo & crosses(low[1], inner[1], direction)
+        second = todo & ~first & crosses(inner[1], high[1], direction)
+        low, high = _chosen(second, inner, low), _chosen(first, inner, high)
+        inside, todo = inside | first | second, todo & ~(first | second)
+        # the vertex of the parabola through the three, or nearer to the end beyond which that lies
+        p, q = inner[0] - low[0], inner[0] - high[0]
+        u, v = p * (inner[1] - high[1]), q * (inner[1] - low[1])
+        point = inner[0] - 0.5 * (p * u - q * v) / (u - v)
+        beyond = 0.5 * (inner[0] + np.where(point <= low[0], low[0], high[0]))
+        point = np.where((low[0] < point) & (point < high[0]), point, beyond)
+        todo = todo & ((u - v) * (p * q) * inner[1] > 0.0) & (np.abs(point - inner[0]) > 1e-7)
+        if trial == _FEW - 1 or not todo.any():
+            break
+        new = point, value(point)
+        is_nearer, is_left = side * new[1] <= side * inner[1], point < inner[0]
+        outer = _chosen(is_nearer, inner, new)
+        low = _chosen(todo & (is_nearer != is_left), outer, low)
+        high = _chosen(todo & (is_nearer == is_left), outer, high)
+        inner = _chosen(todo & is_nearer, new, inner)
+    return low, high, inside
+
+
+def _chosen(test: Any, a: Points, b: Points) -> Points:
+    return np.where(test, a[0], b[0]), np.where(test, a[1], b[1])
+
+
+def _bracketed(value: Callable[[Times], Times], low: Points, high: Points, least: Times) -> Times:
+    """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020))."""
+    radius = high[0] - low[0]
+    for _ in range(_MOST):
+        width, rise = high[0] - low[0], high[1] - low[1]
+        todo = (width > 4.0 * least) & (low[1] * high[1] != 0.0) & ~np.isnan(rise)
+        if not todo.any():
+            break
+        middle = 0.5 * (low[0] + high[0])
+        slack, radius = np.maximum(radius - 0.5 * width, 0.0), 0.5 * radius
+        point = low[0] - low[1] * (width / rise)
+        side = np.where(middle >= point, 1.0, -1.0)
+        away = np.maximum(0.2 * width**2, least)
+        point = np.where(away <= np.abs(middle - point), point + side * away, middle)
+        point = np.where(np.abs(point - middle) <= slack, point, middle - side * slack)
+        new = point, value(np.where(todo, point, 1.0))
+        is_low = ((new[1] > 0.0) == (low[1] > 0.0)) & (new[1] != 0.0)
+        low, high = _chosen(todo & is_low, new, low), _chosen(todo & ~is_low, new, high)
+    # the end that is nearer to zero; where the function is NaN there is no crossing
+    share = np.where(np.abs(low[1]) <= np.abs(high[1]), low[0], high[0])
+    return np.where(np.isnan(low[1] + high[1]), np.nan, share)

@@ -11,29 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
-from fastatt.engine import double_states
-from fastatt.engine.events import Watch, after_step, values
-from fastatt.engine.loop import WIDTH
-from fastatt.engine.status import SAVED, relative_change
+from fastatt.engine.events import Watch, begun, going_on, look
+from fastatt.engine.status import DIAGNOSTICS, SAVED, flags, larger, relative_change
 from fastatt.methods.method import Method
 from fastatt.scene.coupled import Coupled
 from fastatt.scene.equations import (
     Body,
     EquationsOfMotion,
-    PrescribedRate,
     RigidBody,
     Structure,
     carried,
     motion_of,
 )
 from fastatt.scene.rates import is_constant
-from fastatt.tracing.finished import Constants, Flat, Forms, resources_of
+from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
-from fastatt.tracing.graph import Double, Graph, Number, both, choose
+from fastatt.tracing.graph import CLASSES, Double, Graph, Number, both, choose, number
 
+#: the most bodies in a tile; few bodies take one vector
+WIDTH = 64
 # below this |m|² products of rates lose digits
 _LOST = {"double": 1e-305, "single": 1e-36}
 
@@ -44,9 +43,8 @@ class Job:
 
     ``kind`` is the precision of the state, "double" or "single". ``shared`` says that all bodies
     have the same parameters; otherwise ``alike`` are the indices of those that they share.
-    ``known`` says that rotation angles are known beforehand, so that some bodies need no
-    monitoring. ``raw`` says that the output is not projected, and ``projects`` that the state is
-    projected at some steps.
+    ``raw`` says that the output is not projected, and ``projects`` that the state is projected at
+    some steps.
     """
 
     method: Method
@@ -55,15 +53,10 @@ class Job:
     kind: str = "double"
     shared: bool = True
     alike: tuple[int, ...] = ()
-    known: bool = False
     raw: bool = False
     projects: bool = False
-    #: step size and time differ between lanes: per-body step sizes, or a shorter step
-    own_steps: bool = False
-    #: events that are checked at the end of each step
+    #: events that are looked for after each step
     events: tuple[Watch, ...] = ()
-    #: whether it takes the shorter steps by which events are located
-    is_searched: bool = False
     #: rates, torques and forces are evaluated between two breakpoints only
     windowed: bool = False
     #: bodies in a tile; fewer for small ensembles, which is faster and gives the same bits
@@ -72,23 +65,12 @@ class Job:
     @cached_property
     def formulas(self) -> Formulas:
         """The formulas, traced when they are used; they do not depend on the width of a tile."""
-        own = self.own_steps and not self.events
-        return _formulas(replace(self, width=WIDTH, own_steps=own, is_searched=False))
+        return _formulas(replace(self, width=WIDTH))
 
     @property
     def has_any_angle_form(self) -> bool:
         """Whether a block has an any-angle form in addition to the small-angle one."""
-        return self.known or self.method.exponentials > 0
-
-    @property
-    def bounds(self) -> bool:
-        """Whether rotation angles follow from a body's initial state."""
-        return self.known and not isinstance(self.structure.turning, PrescribedRate)
-
-    @property
-    def monitored(self) -> bool:
-        """Whether rotation angles of steps are monitored in the small-angle form."""
-        return not self.known
+        return self.method.exponentials > 0
 
 
 class Formulas:
@@ -96,7 +78,8 @@ class Formulas:
 
     Inputs are named ("x", i) for the stepped variables, ("p", i) for parameters, ("e", i) for
     numbers that the method prepared, ("c", i) for constants of a body, ("invariants", i), ("y", i)
-    for initial values, and ("t",), ("h",), ("k",), ("edge",) and ("since",).
+    for initial values, ("largest", i) for diagnostics and ("limit", i) for their bounds,
+    ("t",), ("h",), ("k",), ("edge",) and ("since",); those of events are in ``engine.events``.
     """
 
     def __init__(self, job: Job) -> None:
@@ -113,16 +96,14 @@ class Formulas:
         attitude = job.attitude.short if small_angle and job.method.exponentials else job.attitude
         return Scope(self, attitude, Graph())
 
-    def _form(self, small_angle: bool) -> Forms:
+    def _form(self, small_angle: bool) -> Flat:
         scope = self.scope(small_angle=small_angle)
         times = scope.time(), scope.number("h"), scope.number("k")
         x, z = scope.step(*times, scope.state(), scope.extras())
         flat = scope.finished((*x, z))
-        if small_angle and not self.job.monitored:
-            flat = flat.first(len(x))
         if not self.job.shared:
             flat = self._constants.without(flat, more=small_angle)
-        return Forms(flat.in_few_registers(), len(x))
+        return flat.in_few_registers()
 
     @cached_property
     def _constants(self) -> Constants:
@@ -141,30 +122,26 @@ class Formulas:
         return [flat.nodes[i].kind for i in flat.results]
 
     @cached_property
-    def small_angle(self) -> Forms:
-        """A step or a stage, for rotation angles of at most π."""
+    def small_angle(self) -> Flat:
+        """State and squared rotation angle after a step or a stage, for angles of at most π."""
         return self._form(True)
 
     @cached_property
-    def _any_angle(self) -> Forms:
-        return self._form(False)
-
-    @property
-    def any_angle(self) -> Forms | None:
-        """A step or a stage for any rotation angle, if it has another form."""
-        return self._any_angle if self.job.has_any_angle_form else None
+    def any_angle(self) -> Flat | None:
+        """The same for any rotation angle, if it has another form."""
+        return self._form(False) if self.job.has_any_angle_form else None
 
     @cached_property
     def begin(self) -> Flat:
-        """From initial values: the stepped variables, prepared numbers, and invariants."""
+        """From initial values: all that a body takes with it."""
         scope = self.scope()
         y = scope.inputs("y", self.given)
         t, h = scope.time(), scope.number("h")
         x = scope.defined(h, scope.begin(y[: self.coordinates], y[self.coordinates :]))
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
-        bound = (scope.bound(h, x),) if self.job.bounds else ()
-        return scope.finished((*stepped, *e, *scope.monitored(h, x), *bound))
+        kept = (*stepped, *e, *scope.monitored(h, x), *begun(self.job.events, len(x), len(e)))
+        return scope.finished((*kept, 0.0, *[0.0] * len(SAVED), 0.0))
 
     @cached_property
     def extras(self) -> int:
@@ -180,14 +157,28 @@ class Formulas:
 
     @cached_property
     def save(self) -> Flat:
-        """Values of a trajectory, and the measures of ``engine.status``, the norm error first."""
+        """Values of a trajectory with the norm error; the largest diagnostics so far."""
         scope = self.scope()
-        t, since = scope.time(), scope.number("since")
-        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        y, norm_error = scope.output(x)
+        y, norm_error = scope.output(scope.left_now())
         before = scope.inputs("invariants", self.invariants)
-        measures = {"norm": norm_error, "invariant": relative_change(before, scope.invariants(x))}
-        return scope.finished((*y, *(measures[name] for name in SAVED)))
+        change = relative_change(before, scope.invariants(scope.left_now()))
+        largest = scope.inputs("largest", len(SAVED))
+        new = [larger(x, abs(y)) for x, y in zip(largest, (norm_error, change), strict=True)]
+        if any(watch.terminal for watch in self.job.events):
+            goes_on = going_on(scope)
+            new = [choose(goes_on, x, y) for x, y in zip(new, largest, strict=True)]
+        return scope.finished((*y, norm_error, *new))
+
+    @cached_property
+    def status(self) -> Flat:
+        """The flags of a body, from its state and its diagnostics."""
+        scope = self.scope()
+        limits = scope.graph.inputs("double", "limit", len(DIAGNOSTICS))
+        values = (*scope.inputs("angle", 1), *scope.inputs("largest", len(SAVED)))
+        iterates = self.job.method.iterates
+        return scope.finished(
+            (flags(scope.state(), values, limits, self.job.attitude, iterates=iterates),)
+        )
 
     @property
     def _regrids(self) -> bool:
@@ -201,9 +192,7 @@ class Formulas:
         if not self._regrids:
             return None
         scope = self.scope()
-        t, since = scope.time(), scope.number("since")
-        x = scope.left(t, since, scope.number("edge"), scope.state(), scope.extras())
-        return scope.finished(x)
+        return scope.finished(scope.left_now())
 
     @cached_property
     def enter(self) -> Flat | None:
@@ -221,60 +210,53 @@ class Formulas:
         if self.job.structure.turning.law.sampling is None:
             return None
         scope = self.scope()
-        own, auxiliary = scope.parts(scope.state())
         assert isinstance(scope.motion, Coupled)
-        return scope.finished((*scope.motion.updated(scope.time(), own), *auxiliary))
+        return scope.finished(scope.motion.updated(scope.time(), scope.state()))
 
     @cached_property
     def project(self) -> Flat | None:
-        """The projected state and its norm error; None if it is never projected."""
+        """The projected state, and the largest norm error; None if it is never projected."""
         if not self.job.projects:
             return None
         scope = self.scope()
         x, n = scope.state(), self.job.attitude.size
-        if self.job.attitude.restore is None:
-            return scope.finished((*x, 0.0))
-        a, d = self.job.attitude.restore(x[:n])
-        return scope.finished((*a, *x[n:], abs(d)))
+        (largest,) = scope.inputs("largest", 1)
+        restore = self.job.attitude.restore
+        a, d = (x[:n], 0.0) if restore is None else restore(x[:n])
+        return scope.finished((*a, *x[n:], larger(largest, abs(d))))
 
     @cached_property
-    def events(self) -> Flat:
-        """The values of the functions of the events."""
-        scope = self.scope()
-        return scope.finished(values(scope))
-
-    @cached_property
-    def watch(self) -> Flat:
-        """The numbers that are kept of the functions of the events, after another step."""
-        return after_step(self.scope())
+    def look(self) -> Flat:
+        """The state, and the values of the functions of the events."""
+        return look(self.scope())
 
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and functions that formulas call without tracing, in the order of their arrays."""
-        update = () if self.update is None else (self.update,)
-        return resources_of(self.small_angle.monitored, self.begin, self.save, self.events, *update)
+        flats = (self.small_angle, self.begin, self.save, self.look, self.update)
+        return resources_of(*filter(None, flats))
 
     @cached_property
     def is_timed(self) -> bool:
         """Whether a step depends on the time."""
-        return ("t",) in self.small_angle.monitored.inputs()
+        return ("t",) in self.small_angle.inputs()
 
     @cached_property
     def calls(self) -> int:
         """Number of results of calls of functions that are not traced, in a step."""
-        return sum(node.op == "item" for node in self.small_angle.monitored.nodes)
+        return sum(node.op == "item" for node in self.small_angle.nodes)
 
     @cached_property
     def digest(self) -> bytes:
         """A hash of the operations of a step."""
-        flats = [self.small_angle.plain, *([] if self.update is None else [self.update])]
+        flats = filter(None, (self.small_angle, self.update))
         spelled = "".join(flat.spelled(self.resources) for flat in flats)
         return hashlib.sha256(spelled.encode()).digest()
 
-    @property
+    @cached_property
     def operations(self) -> int:
         """Floating-point operations of a step's small-angle form."""
-        return self.small_angle.plain.operations * max(1, len(self.job.method.stages))
+        return self.small_angle.operations * max(1, len(self.job.method.stages))
 
 
 class Scope:
@@ -292,14 +274,18 @@ class Scope:
 
     def _bind(self, p: Vector, like: Any) -> None:
         structure = self.job.structure
+        self.p = p
         self.motion: EquationsOfMotion
         if not structure.beside:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
             self.motion = Coupled(self.attitude, structure, p, like)
         if self.job.windowed:
-            low, high = (self.graph.time(self.graph.input("double", x)) for x in ("low", "high"))
-            self.motion.evaluate_between(low, high)
+            self.motion.evaluate_between(*map(self.graph.time, self._window()))
+
+    def _window(self) -> Vector:
+        """The least and the largest time at which rates, torques and forces are evaluated."""
+        return tuple(self.graph.input("double", name) for name in ("low", "high"))
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Inputs of the state's precision."""
@@ -325,38 +311,22 @@ class Scope:
         """The graph for some results."""
         return Flat(self.graph, results, self.kind)
 
-    def parts(self, x: Vector) -> tuple[Vector, Vector]:
-        """What a method steps, and the state of the reducer."""
-        n = len(x) - self.job.structure.reduced
-        return x[:n], x[n:]
-
-    def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> tuple[Vector, Any]:
+    def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
         """(state, squared rotation angle) after one step, or one stage."""
         steps = self.job.method.steps
         assert steps is not None
-        own, auxiliary = self.parts(x)
+        stepped: tuple[Vector, Any]
         if steps.stage is not None:
-            y, z = steps.stage(self.motion, t, h, k, own, e)
+            stepped = steps.stage(self.motion, t, h, k, x, e)
         elif isinstance(turning := self.job.structure.turning, RigidBody) or turning.law.states:
             assert steps.body is not None
-            y, z = steps.body(self.motion, t, h, own)
+            stepped = steps.body(self.motion, t, h, x)
         else:
             constant = is_constant(turning.law)
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
-            y, z = chosen(self.motion, t, h, own)
-        return (*y, *self._watched(t + h, y, auxiliary)), z
-
-    def _watched(self, t: Any, x: Vector, before: Vector) -> Vector:
-        """The reducer's function of a state and of its previous state, in double precision."""
-        reducer = self.job.structure.reducer
-        if reducer is None:
-            return ()
-        is_single = self.kind == "single"
-        state = double_states.joined(before) if is_single else before
-        made = self.called(reducer.call, t, x, state)
-        made = tuple(map(Double, made if isinstance(made, tuple) else (made,)))
-        return double_states.split(made) if is_single else made
+            stepped = chosen(self.motion, t, h, x)
+        return stepped
 
     def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
         """A user-defined function of time, attitude, angular velocity and more, in doubles."""
@@ -370,29 +340,14 @@ class Scope:
 
     def begin(self, q: Vector, auxiliary: Vector) -> Vector:
         """The state from a given attitude and its auxiliary state."""
-        n = self.job.structure.tail - self.job.structure.reduced
-        return (*self.motion.begin(q, auxiliary[:n]), *auxiliary[n:])
+        return self.motion.begin(q, auxiliary)
 
     def prepared(self, h: Any, x: Vector) -> Vector:
         """The numbers that the method prepares for a body."""
         steps = self.job.method.steps
         if steps is None or steps.prepare is None:
             return ()
-        return tuple(steps.prepare(self.motion, h, self.parts(x)[0]))
-
-    def bound(self, h: Any, x: Vector) -> Any:
-        """Square of an upper bound of what the method limits, rad², for a free body."""
-        motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
-        assert isinstance(motion, Body)
-        m = scale(h, motion.momentum_of(self.parts(x)[0])[:3])
-        a, b, c = (k + k for k in motion.half_inverse)
-        if self.job.method.measure == "asymmetry":
-            assert self.job.method.sorted_axes
-            return dot(m, m) * abs((a - b) * (c - b))
-        most = a * a
-        for k in (b, c):
-            most = choose(k * k > most, k * k, most)
-        return dot(m, m) * most
+        return tuple(steps.prepare(self.motion, h, x))
 
     def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
         """The stepped variables from the state."""
@@ -408,21 +363,24 @@ class Scope:
             return x
         return tuple(steps.leave(self.motion, t, since, edge, x, e))
 
+    def left_now(self) -> Vector:
+        """The state from the stepped variables, after the given number of steps."""
+        since, edge = self.number("since"), self.number("edge")
+        return self.left(self.time(), since, edge, self.state(), self.extras())
+
     def output(self, x: Vector) -> tuple[Vector, Any]:
         """(the values of a trajectory, norm error)."""
-        own, auxiliary = self.parts(x)
         attitude = self.attitude
 
         def finish(a: Vector) -> Any:
             y, d = attitude.finish(a)
             return (attitude.raw(a) if self.job.raw else y), d
 
-        y, d = self.motion.output(own, finish)
-        return (*y, *auxiliary), d
+        return self.motion.output(x, finish)
 
     def invariants(self, x: Vector) -> Vector:
         """The invariants of the motion."""
-        return self.motion.invariants(self.parts(x)[0])
+        return self.motion.invariants(x)
 
     def monitored(self, h: Any, x: Vector) -> Vector:
         """The initial invariants; NaN if products underflow on which a rotation angle depends."""
@@ -437,11 +395,43 @@ class Scope:
         motion = self.motion.inner if isinstance(self.motion, Coupled) else self.motion
         if not isinstance(motion, Body) or self.job.method.measure != "angle":
             return values
-        m = motion.momentum_of(self.parts(x)[0])[:3]
+        m = motion.momentum_of(x)[:3]
         angle = scale(h, motion.angular_velocity(m))
         seen = dot(angle, angle) > float(np.finfo(DTYPES[self.kind]).eps)
         lost = both(dot(m, m) < _LOST[self.kind], seen)
         return tuple(choose(lost, math.nan, each) for each in values)
+
+
+class GivenScope(Scope):
+    """A job's motion, with the numbers that a formula is called with, in the precision of x.
+
+    ``window`` are the least and the largest time at which rates, torques and forces are evaluated.
+    """
+
+    def __init__(
+        self, formulas: Formulas, x: Vector, p: Vector, window: Vector = (), *,
+        small_angle: bool = False,
+    ) -> None:  # fmt: skip
+        job = formulas.job
+        if len(p) != formulas.parameters:
+            raise TypeError(f"p: found {len(p)} numbers; accepted: {formulas.parameters}")
+        self._given_window = window
+        short = small_angle and job.method.exponentials > 0
+        super().__init__(formulas, job.attitude.short if short else job.attitude, x[0].graph)
+        self.kind = x[0].kind
+        self.graph.narrow = self.kind == "single"
+        self._bind(tuple(map(Double, p)), x[0])
+
+    def _window(self) -> Vector:
+        return self._given_window
+
+    def at(self, t: Any) -> Any:
+        """A time in the precision of the engine's times."""
+        return self.graph.time(Double(t))
+
+    def span(self, h: Any) -> Any:
+        """A time interval in the precision of x."""
+        return self.graph.span(number(self.graph, CLASSES[self.kind](h), self.kind))
 
 
 @lru_cache(maxsize=64)

@@ -1,4 +1,4 @@
-"""The tiles and steps of an ensemble in pieces, run by several threads."""
+"""The tiles of an ensemble in groups, performed by several threads, and the length of a piece."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from threading import Event
 from time import perf_counter
 from typing import Any
 
+from fastatt.engine.tape import BLOCK
 from fastatt.threads import in_threads
 
-_PIECE = 2_000_000  # body-steps of the first piece, between two checks for Ctrl-C
-_SECONDS = 0.1  # between two checks
-# tiles of a piece, and of one whose bodies call a function, which may take any time
+_OPERATIONS = 2_000_000_000  # of the first piece of a group of tiles
+_SECONDS = 0.1  # of a piece of a group, after which Ctrl-C is answered
+# tiles of a group, and of one whose bodies call a function, which may take any time
 _TILES, _CALLING = 64, 1
+#: steps of a block, and of the first pieces, if steps call a function
+CALLING_LENGTH = 2
+# steps of the first piece in which events are looked for, and of the shortest
+_EVENTS, _LEAST = 1024, 64
 
 
 class InterruptedRun(KeyboardInterrupt):
@@ -22,58 +27,62 @@ class InterruptedRun(KeyboardInterrupt):
     Bodies that did not reach the end have the status ``UNFINISHED``, and NaN in their later saves.
     """
 
-    #: (first tile, last tile, steps done)
-    reached: list[tuple[int, int, int]]
+    #: (first, last) of the tiles that finished the piece
+    finished: list[tuple[int, int]]
     trajectory: Any = None
 
 
-def run_ensemble(
-    call: Callable[[Any, int, int], Any],
-    span: Any,
-    bodies_and_width: tuple[int, int],
-    n_threads: int,
-    done: Callable[[int], object] | None = None,
-    *,
-    calls: bool = False,
-) -> None:
-    """Run all tiles and steps of a span: ``call(span, tile_first, tile_last)``.
+class Pool:
+    """Threads for the tiles of a number of bodies, and the steps of a piece by the time they take.
 
-    ``done`` is called with the number of body-steps taken; ``calls`` says that steps call a
-    user-defined function, which may take any time. Raises ``InterruptedRun`` on Ctrl-C, within a
-    second.
+    ``operations`` are those of a step of a body; ``calls`` says that steps call a user-defined
+    function, ``watched`` that they look for events.
     """
-    n_bodies, width = bodies_and_width
-    n_tiles = -(-n_bodies // width)
-    pieces = min(
-        n_tiles,
-        max(8 * n_threads if n_threads > 1 else 1, n_tiles // (_CALLING if calls else _TILES)),
-    )
-    bounds = [n_tiles * i // pieces for i in range(pieces + 1)]
-    reached = dict.fromkeys(pairwise(bounds), span.first)
 
-    def task(first: int, last: int) -> Callable[[Event], None]:
-        bodies = min(last * width, n_bodies) - first * width
-        block = (last - first) * width * span.block
+    def __init__(
+        self, bodies: int, width: int, operations: int, n_threads: int, *, calls: bool,
+        watched: bool,
+    ) -> None:  # fmt: skip
+        self._n_threads, self._grain = n_threads, CALLING_LENGTH if calls else BLOCK
+        tiles = -(-bodies // width)
+        most = max(8 * n_threads if n_threads > 1 else 1, tiles // (_CALLING if calls else _TILES))
+        groups = min(tiles, most)
+        self._bounds = [tiles * i // groups for i in range(groups + 1)]
+        self._steps = CALLING_LENGTH
+        if not calls:
+            each = _OPERATIONS // max(1, operations) // min(bodies, width * (-(-tiles // groups)))
+            self._steps = min(each, _EVENTS) if watched else each
 
-        def work(stop: Event) -> None:
-            is_known = not calls and span.grain > 1
-            n, blocks = span.first, max(1, _PIECE // block) if is_known else 1
-            while not stop.is_set():
-                until = min(span.end_of_piece(n, blocks * span.grain), span.last)
-                begun = perf_counter()
-                call(span.part(n, until), first, last)
-                if done is not None:
-                    done((until - n) * bodies)
-                n = reached[first, last] = until
-                if n == span.last:
-                    return
-                blocks = max(1, min(2 * blocks, int(blocks * _SECONDS / (perf_counter() - begun))))
+    def pace(self) -> int:
+        """The number of steps of the next piece."""
+        return max(self._steps, self._grain)
 
-        return work
+    def perform(self, call: Callable[[int, int], object]) -> None:
+        """``call(first_tile, last_tile)`` for all groups of tiles.
 
-    try:
-        in_threads([task(a, b) for a, b in pairwise(bounds)], n_threads)
-    except KeyboardInterrupt:
-        stopped = InterruptedRun()
-        stopped.reached = [(a, b, n) for (a, b), n in reached.items()]
-        raise stopped from None
+        Raises ``InterruptedRun`` on Ctrl-C, within a second.
+        """
+        seconds, finished = [0.0], []
+
+        def task(first: int, last: int) -> Callable[[Event], None]:
+            def work(stop: Event) -> None:
+                if not stop.is_set():
+                    begin = perf_counter()
+                    call(first, last)
+                    seconds.append(perf_counter() - begin)
+                    finished.append((first, last))
+
+            return work
+
+        try:
+            in_threads([task(a, b) for a, b in pairwise(self._bounds)], self._n_threads)
+        except KeyboardInterrupt:
+            stopped = InterruptedRun()
+            stopped.finished = finished
+            raise stopped from None
+        most = _SECONDS / max(1e-9, *seconds)
+        self._steps = int(self._steps * min(2.0, most)) if most < 1.0 or most > 2.0 else self._steps
+
+    def shorten(self) -> None:
+        """Take fewer steps in a piece, since bodies performed it again."""
+        self._steps = max(self._steps // 4, _LEAST)

@@ -1,14 +1,14 @@
 """The formulas of a job over the lanes of a tile, in one generated function.
 
-The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``: the
-start of a tile, a block of steps, the values of a save, the projection, the conversions to another
-step size, to the state and from it, the functions of events, and the jump of states at a sample
-time. ``Layout`` defines where in ``rows`` and ``wide`` each number of a lane lies.
+The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``; the
+parts are the first actions of ``engine.tape``. ``Layout`` defines where in ``rows`` and ``wide``
+each number of a lane lies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import accumulate
 from typing import Any
 
@@ -19,21 +19,16 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTi
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.engine.crossings import EVENT_ROWS
-from fastatt.engine.job import Formulas, Job
-from fastatt.engine.status import SAVED
-from fastatt.engine.stops import ADVANCE, BEGIN, ENTER, LEAVE, PROJECT, SAVE, UPDATE, WATCH
+from fastatt.engine import events, tape
+from fastatt.engine.job import WIDTH, Formulas, Job
+from fastatt.engine.machine import PROGRAM, TIME, Tile
+from fastatt.engine.status import DIAGNOSTICS, SAVED
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
 
 #: arrays of a program; all but the last have rows
 ROWS, WIDE, NUMBERS = range(3)
-#: the first of ``numbers``; parameters that bodies share follow, then a method's stages
-T0, H, EDGE, PARAMETERS = range(4)
-#: the clock of a lane: the step size, the steps taken before, the time at which they began, s, and
-#: the least and the largest time at which rates, torques and forces are evaluated
-CLOCK = ("dt", "before", "begin", "low", "high")
 
 Array = NDArray[Any]
 
@@ -45,167 +40,167 @@ class Rows:
         self.sizes, self.count = sizes, sum(sizes.values())
         self.first = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
 
+    def columns(self, group: str) -> slice:
+        """The positions of a group."""
+        return slice(self.first[group], self.first[group] + self.sizes[group])
+
 
 class Layout:
-    """The memory of a tile: ``rows`` in the state's precision, ``wide`` ones of doubles."""
+    """The memory of a tile.
+
+    ``rows`` are in the state's precision, ``wide`` are doubles; ``numbers``, which all lanes share,
+    are the time, the limits of the diagnostics, parameters, and a method's stages.
+    """
 
     def __init__(self, formulas: Formulas) -> None:
         job = formulas.job
         kinds = formulas.constant_kinds
         self.constants = [(kind != job.kind, kinds[:i].count(kind)) for i, kind in enumerate(kinds)]
-        self.rows = Rows(
-            x=formulas.size,
-            event=EVENT_ROWS * len(job.events),
-            angle=1,
-            e=formulas.extras,
-            invariants=formulas.invariants,
-            bound=int(job.known),
-            c=kinds.count(job.kind),
-            io=max(formulas.handed_out + len(SAVED), formulas.given),
-        )
-        own = {name: int(job.own_steps or bool(job.events)) for name in CLOCK}
+        #: what a body takes with it from one tape to the next
+        self.kept = {
+            "x": formulas.size, "e": formulas.extras, "invariants": formulas.invariants,
+            **events.sizes(job.events, formulas.size, formulas.extras),
+            "angle": 1, "largest": len(SAVED), "status": 1,
+        }  # fmt: skip
+        handed_out = max(formulas.handed_out + 1, formulas.given)
+        self.rows = Rows(**self.kept, c=kinds.count(job.kind), io=handed_out)
         others = sum(kind != job.kind for kind in kinds)
         p = 0 if job.shared else formulas.parameters
-        self.wide = Rows(p=p, c=others, **own, called=formulas.calls)
+        self.wide = Rows(p=p, c=others, called=formulas.calls)
+        self.numbers = Rows(
+            **dict.fromkeys(TIME.names or (), 1), limit=len(DIAGNOSTICS), p=formulas.parameters,
+            stage=3 * len(job.method.stages),
+        )  # fmt: skip
 
-    def row(self, group: str, i: int) -> tuple[bool, int]:
-        """(whether in ``wide``, number of the row)."""
+    def place(self, group: str, i: int = 0) -> Place:
+        """The place of a number with a row of lanes."""
         if group == "y":
-            return False, self.rows.first["io"] + i
+            return Place(self.rows.first["io"] + i, ROWS)
         if group == "c":
-            wide, k = self.constants[i]
-            return wide, (self.wide if wide else self.rows).first["c"] + k
+            is_wide, k = self.constants[i]
+            return Place((self.wide if is_wide else self.rows).first["c"] + k, int(is_wide))
         if group in self.wide.first:
-            return True, self.wide.first[group] + i
-        return False, self.rows.first[group] + i
+            return Place(self.wide.first[group] + i, WIDE)
+        return Place(self.rows.first[group] + i, ROWS)
+
+    def places(self, **sizes: int) -> list[Place]:
+        """The places of groups of numbers."""
+        return [self.place(group, i) for group, n in sizes.items() for i in range(n)]
 
 
 class Program(TwoForms):
-    """The function of a job in its two forms."""
+    """The function of a job with small-angle steps, and that with any-angle steps."""
 
-    def __init__(self, job: Job, *, plain: bool = False) -> None:
+    def __init__(self, job: Job) -> None:
         self.job, self.formulas = job, job.formulas
         self.layout = Layout(self.formulas)
-        super().__init__(plain=plain)
+        super().__init__()
 
-    def _new_memory(self) -> list[Array]:
-        """Arrays whose rows lie at multiples of a cache line."""
-        job, layout = self.job, self.layout
-        width, kind = job.width, DTYPES[job.kind]
-        copies = int(job.own_steps)
+    def record(self, tables: int) -> Array:
+        """What the machine has to know, with the address of the tables."""
+        rows, made = self.layout.rows.first, np.zeros(1, PROGRAM)
+        made["small_angle"], made["any_angle"], made["tables"] = self.entry, self.any_angle, tables
+        made["fork"], made["angle"], made["io"] = rows["middle"], rows["angle"], rows["io"]
+        made["coordinates"] = self.formulas.coordinates
+        return made
 
-        def rows(n: int, dtype: np.dtype[Any]) -> Array:
-            return aligned(n * width, dtype)
+    def _new_memory(self) -> tuple[Tile, Array, Array, Array]:
+        """A thread's tile with its numbers, and two copies of rows."""
+        layout, kind = self.layout, DTYPES[self.job.kind]
+        numbers = aligned(layout.numbers.count, DTYPES["double"])
+        rows = self._rows(layout.rows.count, kind)
+        wide = self._rows(layout.wide.count, DTYPES["double"])
+        tile = Tile(rows, wide, numbers[: layout.numbers.first["limit"]].view(TIME))
+        before, fork = (self._rows(layout.rows.first["largest"], kind) for _ in range(2))
+        return tile, numbers, before, fork
 
-        n_rows, n_wide = layout.rows.count, layout.wide.count
-        double, whole = DTYPES["double"], np.dtype(np.int64)
-        carried = layout.rows.first["angle"] + 1
-        return [
-            rows(n_rows, kind), rows(n_wide, double), rows(carried, kind), rows(1, whole),
-            rows(1, whole), rows((carried - 1) * copies, kind), rows(1, whole),
-            rows(n_rows * copies, kind), rows(n_wide * copies, double),
-            *([rows(11, double), rows(9, whole)] if job.is_searched else []),
-            *([rows(carried - 1, kind)] if job.events and not job.is_searched else []),
-        ]  # fmt: skip
+    def _rows(self, n: int, kind: Any) -> Array:
+        """Rows that begin at multiples of a cache line."""
+        return aligned(max(1, n) * self.job.width, kind).reshape(-1, self.job.width)
 
     def _compiled(self, *, small_angle: bool) -> Any:
-        formulas = self._formulas(small_angle)
-        job = self.job
-        lanes = job.width if self.plain else processor().lanes(job.kind)
-        made = LaneProgram(
+        job, formulas = self.job, self._formulas(small_angle)
+        lanes = processor().lanes(job.kind)
+        return LaneProgram(
             "\n".join([*self._text(formulas, lanes), ""]), formulas,
             Shape(job.kind, job.width, lanes), (job.kind, "double", "double"),
             self.formulas.resources,
-        )  # fmt: skip
-        return made.in_python() if self.plain else made.compiled()
+        ).compiled()  # fmt: skip
 
     def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
-        """The formulas by name; for the any-angle form the step alone."""
-        forms, job = self.formulas, self.job
-        # shorter steps take the any-angle form, if there is one
-        has_small = small_angle and not (job.is_searched and job.has_any_angle_form)
-        step = forms.small_angle if has_small else forms.any_angle
+        """The formulas by name; with any-angle steps those alone."""
+        forms, job, sizes = self.formulas, self.job, self.layout.kept
+        watched = {name: sizes[name] for name in ("last", "marked", "event", "held", "middle")}
+        step = forms.small_angle if small_angle else forms.any_angle
         assert step is not None
-        monitored = job.monitored or not has_small
-        flat = step.monitored if monitored else step.plain
-        results = self._results(x=forms.size, angle=int(monitored))
-        clock = "stage" if job.method.stages else "step"
-        found = self._step("step", flat, results, clock, even=False)
-        if job.own_steps and forms.is_timed and not job.is_searched:
-            found |= self._step("even_step", flat, results, clock, even=True)
+        formulas = self._step(step)
 
         def add(name: str, flat: Flat | None, clock: str = "", **sizes: int) -> None:
             if flat is not None:
-                found[name] = self._formula(flat, self._results(**sizes), clock)
+                formulas[name] = self._formula(flat, self.layout.places(**sizes), clock)
 
-        if job.events and not job.is_searched:
-            add("watch", forms.watch, "moment", event=EVENT_ROWS * len(job.events))
+        x, e = forms.size, forms.extras
+        if job.events:
+            add("watch", events.after_step(forms.scope()), "moment", x=x, **watched, angle=1)
         if not small_angle:
-            return found
-        add("events", forms.events if job.events else None, "moment", event=len(job.events))
-        constants = len(forms.constant_kinds)
-        add("constants", forms.constants if constants else None, c=constants)
-        add(
-            "begin", forms.begin, "moment", x=forms.size, e=forms.extras,
-            invariants=forms.invariants, bound=int(job.bounds),
-        )  # fmt: skip
-        add("save", forms.save, "moment", io=forms.handed_out + len(SAVED))
-        add("project", forms.project, x=forms.size, io=1)
-        if job.own_steps:
-            add("leave", forms.leave, "moment", x=forms.size)
-            add("enter", forms.enter, "moment", x=forms.size, e=forms.extras)
-            add("update", None if job.is_searched else forms.update, "moment", x=forms.size)
-        return found
+            return formulas
+        if forms.constant_kinds:
+            add("constants", forms.constants, c=len(forms.constant_kinds))
+        add("begin", forms.begin, "moment", **sizes)
+        add("save", forms.save, "moment", io=forms.handed_out + 1, largest=len(SAVED))
+        add("project", forms.project, x=x, largest=1)
+        add("leave", forms.leave, "moment", x=x)
+        add("enter", forms.enter, "moment", x=x, e=e)
+        add("update", forms.update, "moment", x=x)
+        add("status", forms.status, status=1)
+        if job.events:
+            add("middle", events.middle(forms.scope()), "moment", middle=len(job.events))
+            after = [
+                self.layout.place("event", k + 1)
+                for k in range(0, sizes["event"], len(events.EVENT))
+            ]
+            places = self.layout.places(last=x) + after
+            formulas["look"] = self._formula(forms.look, places, "moment")
+        return formulas
 
-    def _step(
-        self, name: str, flat: Flat, results: list[Place], clock: str, *, even: bool
-    ) -> dict[str, LaneFormula]:
+    def _step(self, flat: Flat) -> dict[str, LaneFormula]:
         """A step, and calls of functions with the same arguments for all lanes."""
         job = self.job
 
         def is_shared(node: Node) -> bool:
             group, *i = node.args
-            if not i:
-                return even or not job.own_steps
-            return group == "p" and (job.shared or i[0] in job.alike)
+            return not i or (group == "p" and (job.shared or i[0] in job.alike))
 
         calls, rest = without_shared_calls(flat, is_shared)
-        largest = self.formulas.size if len(results) > self.formulas.size else None
-        found = {name: self._formula(rest, results, clock, even=even)._replace(largest=largest)}
+        clock = "stage" if job.method.stages else "step"
+        places = self.layout.places(x=self.formulas.size, angle=1)
+        made = self._formula(rest, places, clock)
+        formulas = {"step": made._replace(largest=self.formulas.size)}
         if calls is not None:
-            called = self._results(called=len(calls.results))
-            made = self._formula(calls, called, clock, even=even)
-            found[f"{name}_calls"] = made._replace(lanes=1)
-        return found
+            called = self.layout.places(called=len(calls.results))
+            formulas["step_calls"] = self._formula(calls, called, clock)._replace(lanes=1)
+        return formulas
 
-    def _formula(
-        self, flat: Flat, results: list[Place], clock: str, *, even: bool = False
-    ) -> LaneFormula:
-        """A formula; steps of ``even`` lanes share one clock."""
+    def _formula(self, flat: Flat, results: list[Place], clock: str) -> LaneFormula:
         time = self._clock(clock) if clock else None
         names = set(flat.inputs())
         if time is not None:
             names = (names - {*time.names}) | {*time.flat.inputs()} - {("n",)}
-        inputs = {name: self._place(*name, even=even) for name in names}
-        return LaneFormula(flat, inputs, results, clock=time)
+        return LaneFormula(flat, {name: self._place(*name) for name in names}, results, clock=time)
 
     def _clock(self, which: str) -> StepTimes:
         """The times of a state after some steps, of a "moment", of a "step" or of a "stage"."""
-        graph, own = Graph(), self.job.own_steps
+        graph = Graph()
         n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
         steps: Any = n
-        if own:
-            steps = graph.input("double", "before") + n
         found = {"h": dt, "k": dt}
         if which == "stage":
             h, k, at = graph.inputs("double", "stage", 3)
-            # to a whole number first, for the same bits with one step size and with per-body ones
             steps = steps + at
             found = {"h": h * dt, "k": k * dt}
         since = steps * dt
         if which == "moment":
-            share = graph.input("double", "share")
-            found = {"h": dt, "edge": share * dt}
+            found = {"h": dt, "edge": graph.input("double", "share") * dt}
         # as a separate result, the time interval is rounded before it is added
         exact = {"whole": since, "t": begin + since}
         found["since"] = since
@@ -213,69 +208,62 @@ class Program(TwoForms):
         names = [(name,) for name in (*exact, *found)]
         return StepTimes(Flat(graph, [*exact.values(), *found.values()], kinds), names)
 
-    def _results(self, **sizes: int) -> list[Place]:
-        return [self._row(group, i) for group, n in sizes.items() for i in range(n)]
-
-    def _row(self, group: str, i: int) -> Place:
-        is_wide, row = self.layout.row(group, i)
-        return Place(row, WIDE if is_wide else ROWS)
-
-    def _place(self, group: str, i: int = 0, *, even: bool) -> Place:
+    def _place(self, group: str, i: int = 0) -> Place:
         """The place of an input."""
-        job, width = self.job, self.job.width
-        if group == "p" and (job.shared or i in job.alike):
-            return Place(PARAMETERS + i, NUMBERS, "shared")
+        job, numbers = self.job, self.layout.numbers.first
         if group == "stage":
-            return Place(PARAMETERS + self.formulas.parameters + i, NUMBERS, "indexed")
-        if group == "share" or (group in CLOCK and not job.own_steps):
-            return Place({"share": EDGE, "dt": H, "begin": T0}[group], NUMBERS, "shared")
-        row = self._row(group, i)
-        if group == "called" or (group in CLOCK and even):
-            at = row.row * width
-            return Place(at, row.array, "computed" if group == "called" else "shared")
-        return row
+            return Place(numbers["stage"] + i, NUMBERS, "indexed")
+        is_own = group == "p" and not (job.shared or i in job.alike)
+        if group in numbers and not is_own:
+            return Place(numbers[group] + i, NUMBERS, "shared")
+        place = self.layout.place(group, i)
+        if group == "called":
+            return Place(place.row * job.width, place.array, "computed")
+        return place
 
     def _text(self, formulas: dict[str, LaneFormula], lanes: int) -> Iterator[str]:
-        width = self.job.width
+        each = f"for j in range(0, {self.job.width}, {lanes}):"
 
         def call(name: str, n: str = "first", i: str = "0", j: str = "j") -> str:
             steps = "" if formulas[name].clock is None else f", {n}"
             return f"{name}(rows, wide, numbers, whole, {j}, {j}, {i}{steps})"
 
-        def steps(name: str, depth: str) -> Iterator[str]:
-            yield f"{depth}for n in range(first, last):"
-            i, inner = "0", depth + "    "
-            if self.job.method.stages:
-                # the number of stages comes after the resources
-                yield f"{inner}for i in range(whole[{len(self.formulas.resources)}]):"
-                i, inner = "3 * i", inner + "    "
-            if f"{name}_calls" in formulas:
-                yield inner + call(f"{name}_calls", "n", i, "0")
-            yield f"{inner}for j in range(0, {width}, {lanes}): {call(name, 'n', i)}"
-            if "watch" in formulas:
-                watch = call("watch", "n + 1")
-                yield f"{depth}    for j in range(0, {width}, {lanes}): {watch}"
-
         yield "def run(part, rows, wide, numbers, whole, first, last):"
-        parts = [(BEGIN, "constants"), (BEGIN, "begin"), (SAVE, "save")]
-        parts += [(PROJECT, "project"), (LEAVE, "leave"), (ENTER, "enter"), (WATCH, "events")]
-        parts += [(UPDATE, "update")]
+        parts = (
+            (tape.START, "constants"), (tape.START, "begin"), (tape.SAVE, "save"),
+            (tape.PROJECT, "project"), (tape.LEAVE, "leave"), (tape.ENTER, "enter"),
+            (tape.STATUS, "status"), (tape.JUMP, "update"), (tape.LOOK, "look"),
+            (tape.MIDDLE, "middle"),
+        )  # fmt: skip
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
-            # one loop for all stages, since Numba compiles a condition faster than a loop
-            yield f"    if part != {ADVANCE}:"
-            yield f"        for j in range(0, {width}, {lanes}):"
+            # one loop for all parts, since Numba compiles a condition faster than a loop
+            yield f"    if part != {tape.STEPS}:"
+            yield f"        {each}"
             yield from (f"            if part == {part}: {call(name)}" for part, name in there)
             yield "        return"
-        if "even_step" not in formulas:
-            yield from steps("step", "    ")
-            return
-        yield "    even = True"
-        yield f"    for j in range({width}):"
-        for name in CLOCK[:3]:
-            k = self.layout.wide.first[name] * width
-            yield f"        even = even and wide[{k} + j] == wide[{k}]"
-        yield "    if even:"
-        yield from steps("even_step", "        ")
-        yield "    else:"
-        yield from steps("step", "        ")
+        yield "    for n in range(first, last):"
+        i, depth = "0", " " * 8
+        if self.job.method.stages:
+            # the number of stages comes after the resources
+            yield f"        for i in range(whole[{len(self.formulas.resources)}]):"
+            i, depth = "3 * i", " " * 12
+        if "step_calls" in formulas:
+            yield depth + call("step_calls", "n", i, "0")
+        yield f"{depth}{each} {call('step', 'n', i)}"
+        if "watch" in formulas:
+            yield f"        {each} {call('watch', 'n + 1')}"
+
+
+@lru_cache(maxsize=256)
+def program(job: Job) -> Program:
+    """The program of a job, made once in a process."""
+    return Program(job)
+
+
+def width_for(bodies: int, lanes: int) -> int:
+    """Width of a tile for a number of bodies: a power of two of vectors, at most ``WIDTH``."""
+    width = lanes
+    while width < min(bodies, WIDTH):
+        width *= 2
+    return width

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from enum import IntFlag
+from functools import reduce
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from fastatt.tracing.formulas import Vector, as_like
-from fastatt.tracing.graph import choose
+from fastatt.tracing.graph import Double, apply, both, choose, either, negated
 
 # invariants below this have no relative change
 _TINY = 1e-37
@@ -129,3 +130,32 @@ def relative_change(a: Vector, b: Vector) -> Any:
         return 0.0
     x, y = changes
     return choose(x > y, x, y)
+
+
+def is_number(x: Any) -> Any:
+    """Whether a number is not NaN."""
+    return x == x  # noqa: PLR0124
+
+
+def larger(before: Any, value: Any) -> Any:
+    """The larger of two numbers, or NaN."""
+    return choose(either(before >= value, negated(is_number(before))), before, value)
+
+
+def flags(x: Vector, values: Vector, limits: Vector, attitude: Any, *, iterates: bool) -> Any:
+    """The flags of a body from its state, its largest diagnostics, and their limits.
+
+    The first of the diagnostics is the square of an angle.
+    """
+    finite = reduce(both, [abs(each) < math.inf for each in x])
+    found = choose(finite, 0.0, float(Status.NON_FINITE))
+    for k, (of, value, limit) in enumerate(zip(DIAGNOSTICS, values, limits, strict=True)):
+        exceeded, most = float(of.flag(attitude)), Double(value)
+        infinite = float(of.infinite) if iterates else exceeded
+        flag = choose((apply("sqrt", most) if k == 0 else most) <= limit, 0.0, exceeded)
+        if k > 0:
+            flag = choose(finite, flag, 0.0)
+        if infinite != exceeded:
+            flag = choose(value == math.inf, choose(finite, infinite, 0.0), flag)
+        found = found + flag
+    return found

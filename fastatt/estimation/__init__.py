@@ -1,7 +1,6 @@
 """Parts of estimators, for arrays and, as kernels, for jitted code.
 
-Transitions, noise, Jacobians, derivatives of steps and runs, preintegration, filters, and an
-initial attitude and bias from samples at rest.
+Transitions, noise, Jacobians, derivatives of steps and runs, preintegration, and filters.
 
 The error of an attitude is a rotation vector δθ in body axes, q_true = q∘exp(δθ). The error of a
 gyro's bias is δb, b_true = b + δb.
@@ -32,17 +31,12 @@ from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, prei
 from fastatt.estimation.mekf import MEKF
 from fastatt.estimation.motions import Motion, gyro_motion, scene_motion
 from fastatt.estimation.noise import (
-    AllanDeviation,
-    NoiseFit,
     SimulatedGyro,
-    allan_deviation,
     from_data_sheet,
     simulate_gyro,
     to_data_sheet,
 )
-from fastatt.estimation.particle import ParticleFilter
 from fastatt.estimation.runs import RunTangent, run_tangent
-from fastatt.estimation.start import StaticStart, attitude_from_vectors, static_start
 from fastatt.estimation.ukf import UKF
 from fastatt.estimation.updates import (
     mekf_predict,
@@ -52,13 +46,13 @@ from fastatt.estimation.updates import (
 )
 
 __all__ = [
-    "MEKF", "UKF", "AllanDeviation", "BodyTangent", "Motion", "NoiseFit", "ParticleFilter",
-    "Preintegration", "Preintegrator", "RunTangent", "SimulatedGyro", "StaticStart", "StepTangent",
-    "Transition", "allan_deviation", "attitude_error", "attitude_from_vectors", "body_tangent",
+    "MEKF", "UKF", "BodyTangent", "Motion",
+    "Preintegration", "Preintegrator", "RunTangent", "SimulatedGyro", "StepTangent",
+    "Transition", "attitude_error", "body_tangent",
     "covariance_to_body", "covariance_to_inertial", "from_data_sheet", "gyro_motion",
     "left_jacobian", "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
     "mekf_update_attitude", "mekf_update_vector", "predict_covariance", "preintegrate",
     "preintegration", "process_noise", "right_jacobian",
     "right_jacobian_inverse", "run_tangent", "sample_transitions", "scene_motion",
-    "simulate_gyro", "static_start", "step_tangent", "to_data_sheet", "transition_matrix",
+    "simulate_gyro", "step_tangent", "to_data_sheet", "transition_matrix",
 ]  # fmt: skip

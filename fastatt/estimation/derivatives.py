@@ -317,9 +317,8 @@ def body_tangent(
     -----
     The derivatives are those of the method's formulas, exact to rounding. For a user-defined torque
     that can't be traced they are central differences with an error of some 1e-10. Φ of splitting
-    methods and of ``dmv2`` is symplectic to 1e-14. That of ``dmv4`` to ``dmv10``, whose moments
-    depend on the state, is symplectic to their order: to 1.4e-5, 5e-8, 1e-10 and 2e-13 at ``|w| h``
-    = 0.25.
+    methods and of ``dmv2`` is symplectic to 1e-14. That of ``dmv10``, whose moments depend on the
+    state, is symplectic to its order: to 2e-13 at ``|w| h`` = 0.25.
 
     Examples
     --------

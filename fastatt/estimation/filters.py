@@ -29,6 +29,9 @@ from fastatt.estimation.updates import operation
 
 Floats = NDArray[np.float64]
 
+#: measurements that a filter refuses in a row before it warns
+MOST_REFUSED = 10
+
 
 def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
     """Error δθ of attitudes, q_true = q∘exp(δθ).
@@ -138,12 +141,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
 
 
-def unit_rows(value: NDArray[Any], n: int) -> Floats:
-    """n rows of unit quaternions, from one or n of any norm above zero."""
-    return rows_of(normalised(value), (n, 4))
-
-
-def rows_of(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
+def _rows(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
     """A new array of a shape, from one row or all of them."""
     return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
 
@@ -173,9 +171,10 @@ class Estimates:
         n = common_number("filters", **many) if many else 1
         self._one, self._name = not many, name
         # these arrays are changed in place, since calls hold their addresses
-        self._q, self._y = unit_rows(start, n), rows_of(y, (n, size - 3))
-        self._P = rows_of(P, (n, size, size))
+        self._q, self._y = _rows(normalised(start), (n, 4)), _rows(y, (n, size - 3))
+        self._P = _rows(P, (n, size, size))
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
+        self._refused = np.zeros(n, dtype=np.int64)
         self._calls: dict[str, _Call] = {}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -191,6 +190,14 @@ class Estimates:
     def _vectors(self, name: str, value: ArrayLike) -> NDArray[Any]:
         """Vectors (3,) or (N, 3), which need not be finite if filters skip such measurements."""
         return checks.array(name, value, f"(3,) or ({len(self._q)}, 3)", flag=self._skips)
+
+    def _directions(self, name: str, value: ArrayLike) -> NDArray[Any]:
+        """Vectors that are not zero, unless filters skip such measurements."""
+        rows = self._vectors(name, value)
+        if not self._skips and not (there := rows.any(axis=-1)).all():
+            where = [int(i) for i in np.argwhere(~there)[0]] or ""
+            raise ValueError(f"{name}{where} is the zero vector; accepted: any other")
+        return rows
 
     def _call(self, name: str, own: Floats | None = None) -> _Call:
         """An operation of ``updates``, with an array ``own`` of each filter's numbers."""
@@ -212,7 +219,7 @@ class Estimates:
         Parameters
         ----------
         measured : array_like of shape (3,) or (N, 3)
-            Vectors along body axes.
+            Vectors along body axes, other than zero.
         reference : array_like of shape (3,) or (N, 3)
             The same vectors along inertial axes.
         sigma : float
@@ -224,15 +231,17 @@ class Estimates:
         -------
         float or ndarray of shape (N,)
             Normalised innovation squared (NIS); NaN if a measurement was ignored since it was not
-            finite.
+            finite or zero.
 
         Raises
         ------
         ValueError
-            If a shape does not fit, or a measurement is not finite and ``invalid`` is "raise".
+            If a shape does not fit, or a measurement is not finite or zero and ``invalid`` is
+            "raise".
         """
         call = self._call("vector")
-        seen, known = self._vectors("measured", measured), self._vectors("reference", reference)
+        seen = self._directions("measured", measured)
+        known = self._directions("reference", reference)
         call.shared[:] = largest_square(gate), variance("sigma", sigma)
         call.own[:, :3], call.own[:, 3:] = seen, known
         call.run()
@@ -283,13 +292,26 @@ class Estimates:
                     f"measured{'' if self._one else [k]}: has a normalised innovation squared of "
                     f"{nis[k]}; accepted: finite ones; this estimate is as before"
                 )
-        if ((nonlinearity > 1.0) & (nis <= largest_square(gate))).any():
+        limit = largest_square(gate)
+        if ((nonlinearity > 1.0) & (nis <= limit)).any():
             warnings.warn(
                 "measured: an attitude was known too little for vectors as precise as these: the "
-                "covariance left may be too small; begin with attitude_from_vectors, or use "
-                "update_attitude first",
+                "covariance left may be too small; begin with an attitude that is known better, or "
+                "use update_attitude first",
                 stacklevel=3,
             )
+        self._refused[nis <= limit] = 0
+        if gate is not None:
+            refused = nis > limit
+            self._refused += refused
+            if (locked := refused & (self._refused == MOST_REFUSED)).any():
+                which = "the filter" if self._one else f"filter {int(np.argmax(locked))}"
+                warnings.warn(
+                    f"gate: {which} has refused {MOST_REFUSED} measurements in a row, as it does "
+                    "if its covariance is far smaller than its error; a larger covariance lets it "
+                    "use them again",
+                    stacklevel=3,
+                )
         return self._figures(nis)
 
     @property

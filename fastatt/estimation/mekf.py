@@ -34,19 +34,27 @@ class MEKF(Estimates):
     bias_noise : float
         Rate random walk σ_u of the bias, rad/s^1.5.
     invalid : {"raise", "skip"}, default "raise"
-        Treatment of gyro samples and measurements that are not finite. "raise" raises an error.
-        "skip" ignores such a measurement, and replaces such a gyro sample by the last finite one;
-        before the first one the body does not rotate.
+        Treatment of gyro samples and measurements that are not finite, and of zero vectors. "raise"
+        raises an error. "skip" ignores such a measurement, and replaces such a gyro sample by the
+        last finite one; before the first one the body does not rotate.
+
+    Warns
+    -----
+    UserWarning
+        If a filter has refused 10 measurements in a row because of their ``gate``; measurements
+        that are ignored do not count. If an attitude was known too little for a vector's precision.
 
     Notes
     -----
     A call of ``predict`` takes some µs for one filter, and 0.06 µs for each of many filters.
 
     Updates return the normalised innovation squared (NIS), a number or (N,). For a consistent
-    filter it has a χ² distribution with three degrees of freedom, or with about two for a
-    direction, whose length has no information. The filter does not use a measurement whose NIS is
-    above ``gate``. Of good measurements, 1 in 1000 has an NIS above 16.27, and of good directions
-    above 13.82 (``scipy.stats.chi2.ppf(0.999, 3)``, and with 2).
+    filter it has a χ² distribution with three degrees of freedom, whether the attitude is known
+    well or to 0.5 rad, or with two for a direction, whose length has no information. It is
+    computed at the result of the iteration: the least sum of the normalised squares of correction
+    and residual. The filter does not use a measurement whose NIS is above ``gate``. Of good
+    measurements, 1 in 1000 has an NIS above 16.27, and of good directions above 13.82
+    (``scipy.stats.chi2.ppf(0.999, 3)``, and with 2).
 
     References
     ----------

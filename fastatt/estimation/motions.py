@@ -1,4 +1,4 @@
-"""Motions of sigma points and particles.
+"""Motions of sigma points.
 
 A motion steps an ensemble with attitudes (M, 4) and auxiliary states (M, K):
 ``motion(q, y) -> (q, y)``. ``gyro_motion`` and ``scene_motion`` make motions, and users may define
@@ -57,7 +57,7 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
     -------
     Motion
         A function ``motion(q, y) -> (q, y)`` of attitudes (M, 4) and auxiliary states (M, K), for
-        :meth:`UKF.predict` and :meth:`ParticleFilter.predict`.
+        :meth:`UKF.predict`.
 
     Examples
     --------

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
-from fastatt.engine.stops import TAKEN
+from fastatt._cached import cached_property
 from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows
 from fastatt.methods import Method
+from fastatt.propagation.breakpoints import breaks_within
 from fastatt.propagation.options import Clock
 from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory
@@ -92,8 +92,9 @@ class RunTangent:
 def _refuse_parts(scene: Scene, run: Trajectory) -> None:
     """Raise ``ValueError`` for a run across breakpoints, or whose steps corners divide."""
     first, last = sorted(run.t[[0, -1]].tolist())
-    parts = Clock.of(run.dt, len(run.t) - 1, None).parts(run.t[0], scene)
-    if any(first <= x <= last for x in scene.breakpoints) or parts.clocks[:, TAKEN].any():
+    clock, begin = Clock.of(run.dt, len(run.t) - 1, None), float(run.t[0])
+    legs = clock.legs(clock.h, breaks_within(scene, begin, clock.duration))
+    if any(first <= x <= last for x in scene.breakpoints) or (legs["dt"] != clock.h).any():
         raise ValueError(
             "scene: found breakpoints, or times of a table within steps; accepted: a run "
             "between breakpoints, and steps that end at the times of the table"

@@ -17,17 +17,15 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import around_formulas, enough
-from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import kind_of
 from fastatt.codegen.scalar import ScalarFunction, scalar_function
-from fastatt.engine.job import Formulas, Job, Scope
-from fastatt.estimation.conversions import taken_from_python
+from fastatt.engine.job import GivenScope, Job
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.tracing.formulas import Vector, as_like
 from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import CLASSES, Double, number
+from fastatt.tracing.graph import number
 
 _HALF_TURN = math.pi * math.pi
 _ONE_STAGE = ((1.0, 1.0, 0.0),)
@@ -78,10 +76,9 @@ class Stepper:
     -----
     Methods that step other variables than x (splitting methods, ``dmv``) convert to them and back
     in every ``step``, and prepare anew what depends on h. ``enter``, ``advance`` and ``leave`` do
-    so once. Arrays that are too short for the state or the parameters raise ``ValueError``. From
-    Python, lists, integers and integer arrays are converted at each call, which takes much longer
-    than a call with floats, tuples of floats or float arrays; ``step_into`` needs a float array
-    that can be written to.
+    so once. Arguments are floats, tuples of floats and, for x and p, arrays of floats; for others
+    Numba raises its ``TypingError``. Arrays that are too short for the state or the parameters
+    raise ``ValueError``.
     """
 
     method: str
@@ -168,7 +165,7 @@ def single_step(
     scene: Scene,
     *,
     method: str | Method | None = None,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     position: bool = False,
     dtype: DTypeLike = np.float64,
 ) -> Stepper:
@@ -182,7 +179,7 @@ def single_step(
         A name in :data:`fastatt.METHODS`, or a custom method. The default is the first of magnus4,
         rk8 and rk4 that fits. The closed form takes no steps: see ``fastatt.closed_form``,
         ``fastatt.kernels.free_body`` and ``fastatt.kernels.heavy_top``.
-    representation : str or Attitude, default "quat"
+    representation : str, default "quat"
         The representation, as in :func:`fastatt.propagate`.
     position : bool, default False
         Also propagate the position, for a scene with mass.
@@ -223,7 +220,7 @@ def single_step(
     """
     as_scene(scene)
     attitude = attitude_of(representation)
-    record = method_of(scene, method, attitude, need="is_stepped")
+    record = method_of(scene, method, representation, need="is_stepped")
     if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     if scene.sampling is not None:
@@ -252,28 +249,8 @@ def _floats(values: NDArray[Any]) -> tuple[Any, ...]:
     return tuple(values) if values.dtype == np.float32 else tuple(values.tolist())
 
 
-class _Given(Scope):
-    """A job's motion, with the numbers that a formula is called with, in the precision of x."""
-
-    def __init__(
-        self, formulas: Formulas, x: Vector, p: Vector, *, small_angle: bool = False
-    ) -> None:
-        job = formulas.job
-        if len(p) != formulas.parameters:
-            raise TypeError(f"p: found {len(p)} numbers; accepted: {formulas.parameters}")
-        short = small_angle and job.method.exponentials > 0
-        super().__init__(formulas, job.attitude.short if short else job.attitude, x[0].graph)
-        self.kind = x[0].kind
-        self.graph.narrow = self.kind == "single"
-        self._bind(tuple(map(Double, p)), x[0])
-
-    def at(self, t: Any) -> Any:
-        """A time in the precision of the engine's times."""
-        return self.graph.time(Double(t))
-
-    def narrow(self, h: Any) -> Any:
-        """A time interval in the precision of x."""
-        return self.graph.span(CLASSES[self.kind](h))
+class _Given(GivenScope):
+    """A job's motion, with the numbers that a formula is called with."""
 
     def made(self, values: Any) -> Vector:
         """Results in the precision of x, constants included."""
@@ -300,8 +277,8 @@ class _Parts:
         if len(x) != size:
             raise TypeError(f"x: found {len(x)} numbers; accepted: {size}")
         scope = _Given(self._formulas, x, p)
-        e = scope.prepared(scope.narrow(h), x)
-        y = scope.entered(scope.at(t), scope.narrow(edge), x, e)
+        e = scope.prepared(scope.span(h), x)
+        y = scope.entered(scope.at(t), scope.span(edge), x, e)
         return scope.made(y), scope.made(e)
 
     def small_angle(self, t: Any, spans: Vector, y: Vector, p: Vector, e: Vector, z: Any) -> Any:
@@ -313,14 +290,14 @@ class _Parts:
         return self._stage(_Given(self._formulas, y, p), t, spans, y, e, z)
 
     def _stage(self, scope: _Given, t: Any, spans: Vector, y: Vector, e: Vector, z: Any) -> Any:
-        h, k = map(scope.narrow, spans)
+        h, k = map(scope.span, spans)
         y, angle = scope.step(scope.at(t), h, k, y, e)
         return scope.made(y), scope.made((larger(z, angle),))[0]
 
     def to_state(self, t: Any, since: Any, edge: Any, y: Vector, p: Vector, e: Vector) -> Vector:
         """x from the stepped variables."""
         scope = _Given(self._formulas, y, p)
-        return scope.made(scope.left(scope.at(t), scope.narrow(since), scope.narrow(edge), y, e))
+        return scope.made(scope.left(scope.at(t), scope.span(since), scope.span(edge), y, e))
 
     def output(self, x: Vector, p: Vector) -> Vector:
         """The numbers that a trajectory holds."""
@@ -340,11 +317,10 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
     stages = np.array(job.method.stages or _ONE_STAGE)
     # the stepped variables are this share of h ahead
     half_stage = 0.5 * stages[-1, 1] if job.method.stages else 0.0
-    constants = repr((job.method.stages, job.has_any_angle_form))
 
     def scalar(formula: Any, **arrays: int) -> ScalarFunction:
         arrays["p"] = job.structure.n_params
-        return scalar_function(formula, tables, arrays=arrays, constants=constants)
+        return scalar_function(formula, tables, arrays=arrays)
 
     to_stepped, to_state = scalar(parts.to_stepped, x=size), scalar(parts.to_state)
     through = _through(scalar(parts.small_angle), scalar(parts.any_angle), stages, job)
@@ -380,13 +356,8 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
         check_p(p)
         return to_state(t, s, half_stage * h, y, p, e)
 
-    def sizes(name: str) -> int:
-        formulas = job.formulas
-        return {"p": formulas.parameters, "e": formulas.extras}.get(name, size)
-
     made = (step, step_and_angle, enter, advance, leave)
-    found = {f.__name__: taken_from_python(around_formulas(f), sizes) for f in made}
-    return found | {"step_into": taken_from_python(around_formulas(step_into), sizes, "x")}
+    return {f.__name__: around_formulas(f) for f in (*made, step_into)}
 
 
 def _through(small_angle: Any, any_angle: Any, stages: NDArray[np.float64], job: Job) -> Any:
@@ -439,6 +410,4 @@ def _ends(job: Job) -> tuple[Any, Any]:
         y = output(x, p)
         return quaternion(y[:stored]), y[stored:]
 
-    sizes = {"q": 4, "y": job.structure.tail, "x": size, "p": job.structure.n_params}
-    start, read = (taken_from_python(around_formulas(f), sizes.__getitem__) for f in (start, read))
-    return start, read
+    return around_formulas(start), around_formulas(read)

@@ -47,8 +47,8 @@ class UKF(Estimates):
     kappa : float, default 1.0
         κ, above −D. With a negative κ the covariance may become indefinite.
     invalid : {"raise", "skip"}, default "raise"
-        Treatment of measurements that are not finite: "raise" raises an error, and "skip" ignores
-        them.
+        Treatment of measurements that are not finite, and of zero vectors: "raise" raises an error,
+        and "skip" ignores them.
 
     Raises
     ------
@@ -60,7 +60,8 @@ class UKF(Estimates):
     -----
     UserWarning
         If a motion moves points farther than 3π/4 rad from their mean, where errors are ambiguous;
-        for vectors with attitude deviations above 0.7 rad.
+        for vectors with attitude deviations above 0.7 rad; if a filter has refused 10 measurements
+        in a row because of their ``gate``.
 
     Notes
     -----

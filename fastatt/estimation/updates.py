@@ -11,6 +11,12 @@ Updates by a vector and by an attitude are linearised about their result four ti
 extended Kalman filter), with the prior covariance along the axes of a rotation from the prior
 estimate. The rotation about a vector, which the vector does not determine, thus stays as uncertain
 as it was (Barrau and Bonnabel, *IEEE Transactions on Automatic Control* 62 (2017) 1797).
+
+NIS is νᵀ (H P Hᵀ + R)⁻¹ ν at the last linearisation, with ν = z − H d and the mean error d of the
+prior. Where the iteration has settled, this is the least sum of the normalised squares of the
+correction and of the residual. It has a χ² distribution also if P is so large that the first
+linearisation is wrong. The residual of a vector consists of the arc from its expected direction, in
+two components, and of the difference of the lengths, which does not depend on the attitude.
 """
 
 from __future__ import annotations
@@ -126,7 +132,8 @@ def mekf_update_vector(q, b, P, measured, reference, variance):
     -----
     The correction depends on the angle between the expected and the measured vector, and not on the
     difference of their lengths, whose rounding would give a spurious angle next to precise
-    measurements. The difference of the lengths counts in NIS.
+    measurements. The difference of the lengths counts in NIS. If ``measured`` or ``reference`` is
+    the zero vector, the results are NaN.
     """
     q, b, p, nis, _ = by_vector(q, b, _rows_of(P), measured, reference, variance)
     return q, b, _blocks_of(p), nis
@@ -184,23 +191,23 @@ def by_vector(q, y, P, measured, reference, variance):
     F = type(q[0])
     o = F(0.0)
     a = q
-    for k in range(PASSES):
+    size, seen = _split(measured)
+    length, known = _split(reference)
+    for _ in range(PASSES):
         p, d = _seen_from(a, q, P)
-        expected = quat.rotate_inverse(a, reference)
-        length = math.sqrt(dot(expected, expected))
-        n = scale(F(1.0) / length if length > o else o, expected)
+        n = quat.rotate_inverse(a, known)
         x, y_axis = _perpendicular(n)
-        u = dot(x, measured)
-        v = dot(y_axis, measured)
+        u = dot(x, seen)
+        v = dot(y_axis, seen)
         sine = math.sqrt(u * u + v * v)
-        along = dot(n, measured)
-        # from the orthogonal components to the angle
-        m = length * trig.atan2(sine, along) / sine if sine > o else o
-        p, d, n0 = _joseph(p, d, m * u, scale(-length, y_axis), variance)
-        p, d, n1 = _joseph(p, d, m * v, scale(length, x), variance)
+        # from the orthogonal components to the angle; of an opposite vector any axis is right
+        arc = length * trig.atan2(sine, dot(n, seen))
+        u = u / sine if sine > o else F(1.0)
+        v = v / sine if sine > o else o
+        p, d, n0 = _joseph(p, d, arc * u, scale(-length, y_axis), variance)
+        p, d, n1 = _joseph(p, d, arc * v, scale(length, x), variance)
         a = _corrected(a, d)
-        if k == 0:
-            nis = n0 + n1 + (along - length) * (along - length) / variance
+    nis = n0 + n1 + (size - length) * (size - length) / variance
     lost = P[0][0] + P[1][1] + P[2][2] - (p[0][0] + p[1][1] + p[2][2])
     last = _normalised_square(p, d) / F(NEARLY_SETTLED)
     return a, _plus(y, d[3:]), p, nis, lost if lost > last else last
@@ -213,14 +220,18 @@ def by_attitude(q, y, P, measured, R):
     o = F(0.0)
     i = F(1.0)
     a = q
-    for k in range(PASSES):
+    for _ in range(PASSES):
         p, d = _seen_from(a, q, P)
         z = quat.log(quat.mul(quat.conj(a), measured))
-        p, d, found = _by_three(p, d, z, (i, o, o, o, i, o, o, o, i), R)
+        p, d, nis = _by_three(p, d, z, (i, o, o, o, i, o, o, o, i), R)
         a = _corrected(a, d)
-        if k == 0:
-            nis = found
     return a, _plus(y, d[3:]), p, nis, o
+
+
+def _split(v: Any) -> Any:
+    """The length of a vector, and its direction: NaN for the zero vector."""
+    length = math.sqrt(dot(v, v))
+    return length, scale(type(v[0])(1.0) / length, v)
 
 
 def _plus(x: Any, y: Any) -> Any:

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import normalised, quat_multiply
-from fastatt.codegen.call import call_loop
 from fastatt.gyro import ends
 from fastatt.gyro.gaps import part, stretches
-from fastatt.gyro.loops import LANES, TILE, loop
+from fastatt.gyro.loops import LANES, STRETCH, TILE, Logs, loop
 from fastatt.gyro.program import program
 from fastatt.methods.windows import CHUNK, Window
 from fastatt.threads import each_in_threads, in_threads, number_of
@@ -24,7 +23,6 @@ NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _AT_REST: dict[Any, NDArray[Any]] = {
     np.dtype(kind): np.tile(NO_TURN, (1, 2)).astype(kind) for kind in (np.float64, np.float32)
 }
-_NO_TOTALS = np.empty(0)
 # tiles of one log for which another thread saves time
 _TILES = 64
 _SHORT = (2 * _TILES - 1) * TILE
@@ -54,24 +52,29 @@ class GyroRun:
     ) -> None:
         uneven = isinstance(spans, np.ndarray)
         self._program = program(window, increments, data.dtype, uneven)
-        samples, self._count = data.shape[1], out.shape[1] - 1
+        n, self._count = data.shape[1], out.shape[1] - 1
         missing = 0 if window.iteration else -self._count % window.span
-        head = np.ascontiguousarray(ends.before(spans, samples, window, increments))
         # samples after a complete last window are not used; the last one is repeated
-        tail = np.ones((1, 1))
+        beyond = [data[:, :0], data[:, n - 1 :]]
+        if window.history:
+            head = ends.before(spans, n, window, increments)
+            beyond[0] = head @ data[:, : head.shape[1]]
         if missing:
-            tail = np.ascontiguousarray(ends.after(spans, samples, missing, window, increments))
+            tail = ends.after(spans, n, missing, window, increments)
+            beyond[1] = tail @ data[:, n - tail.shape[1] :]
         gaps = spans if uneven else np.empty(0, data.dtype)
-        self._arrays = [data, head, tail, gaps, out]
-        self._settings = [
-            samples - lead, lead, head.shape[1], tail.shape[1], len(tail),
-            len(spans) - lead if uneven else 0, self._count + 1, window.history, window.span,
-            int(not increments), int(uneven and not increments),
-        ]  # fmt: skip
+        before, after = (x.astype(data.dtype, "C") for x in beyond)
+        logs = len(data)
+        self._arrays = data.reshape(logs, -1), before, after, gaps, out.reshape(logs, -1)
         interval = 0.0 if uneven else float(spans)
-        # an iteration has the same form for all angles
-        near = 0.0 if window.iteration else window.near
-        self._limits = [interval, 1.0 if increments else interval, near]
+        self._fields = {
+            "history": window.history, "span": window.span, "lead": lead,
+            "extra": not increments, "is_uneven": uneven,
+            "by_interval": uneven and not increments,
+            "interval": interval, "factor": 1.0 if increments else interval,
+            # an iteration has the same form for all angles
+            "near": 0.0 if window.iteration else window.near,
+        }  # fmt: skip
 
     def carry(
         self, q: NDArray[Any], *, phase: int = 0, n_threads: int | None = 1, done: _Done = None
@@ -96,7 +99,7 @@ class GyroRun:
         self, q: NDArray[Any], at: tuple[int, int, int], n_threads: int | None, done: _Done
     ) -> float:
         """Integrate many logs, with a lane for each."""
-        n_logs, count, stretch = len(q), at[1], (*at, 0, 1)
+        n_logs, count, stretch = len(q), at[1], (*at, 0)
         sweep = loop("sweep", self._program.kind)
         if n_logs <= LANES and not done:
             return self._through(sweep, q, stretch, (0, n_logs))
@@ -119,35 +122,36 @@ class GyroRun:
     ) -> float:
         """Integrate one log, with a lane for each chunk, and tiles of chunks on each thread."""
         stretch, tiles = (*at, 0, log), -(-at[1] // TILE)
+        none = np.empty((0, 4), q.dtype)
         along = loop("along", self._program.kind)
         if at[1] <= _SHORT and not done:
-            return self._through(along, q, (*stretch, 1), (0, tiles))
+            return self._through(along, q, stretch, (0, tiles), none)
         threads = max(1, min(number_of(n_threads), tiles // _TILES))
         bounds = [tiles * i // threads for i in range(threads + 1)]
         starts = [q, *(q.copy() for _ in bounds[2:])]
         totals = np.empty((bounds[-2] * LANES, 4), dtype=q.dtype)
         peaks = []
 
-        def through(bounds: tuple[int, int], p: NDArray[Any], write: int) -> None:
-            peaks.append(self._through(along, p, (*stretch, write), bounds, totals))
+        def through(bounds: tuple[int, int], p: NDArray[Any], totals: NDArray[Any]) -> None:
+            peaks.append(self._through(along, p, stretch, bounds, totals))
 
         if threads > 1:
             known = bounds[-2]
             size = min(_PIECE, -(-known // threads))
             pieces = ((a, min(a + size, known)) for a in range(0, known, size))
-            each_in_threads([partial(through, piece, q, 0) for piece in pieces], threads)
+            each_in_threads([partial(through, piece, q, totals) for piece in pieces], threads)
             chain = loop("chain", self._program.kind)
             for i in range(1, threads):
                 starts[i][:] = starts[i - 1]
                 first, last = (LANES * k for k in bounds[i - 1 : i + 1])
-                self._through(chain, starts[i], (*stretch, 0), (first, last), totals)
+                self._through(chain, starts[i], stretch, (first, last), totals)
 
         def task(p: NDArray[Any], first: int, last: int, stop: Event) -> None:
             for a in range(first, last, _PIECE):
                 if stop.is_set():
                     return
                 z = min(a + _PIECE, last)
-                through((a, z), p, 1)
+                through((a, z), p, none)
                 if done:
                     done(min(TILE * z, at[1]) - TILE * a)
 
@@ -157,26 +161,21 @@ class GyroRun:
         return max(peaks)
 
     def _through(
-        self,
-        run: Callable[..., int],
-        q: NDArray[Any],
-        stretch: tuple[int, ...],
-        bounds: tuple[int, int],
-        totals: NDArray[Any] = _NO_TOTALS,
-    ) -> float:
+        self, run: Callable[..., int], q: NDArray[Any], at: tuple[int, ...],
+        bounds: tuple[int, int], *totals: NDArray[Any],
+    ) -> float:  # fmt: skip
         """Call a loop until it has finished; returns the largest component of an angle, rad.
 
-        ``stretch`` are the first interval, their number, how many of its chunk are done, the index
-        of the log, and whether attitudes are written.
+        ``at`` are the first interval, their number, how many of its chunk are done, and the log.
         """
-        made, largest = self._program, np.zeros(1)
-        arrays = [*self._arrays, q, totals, largest, *made.memory()]
-        first, last = bounds
-        while first < last:
-            settings = [made.entry, made.any_angle, *self._settings, *stretch]
-            first = call_loop(run, arrays, settings, self._limits, first, last)
-            if first < last:
-                made.compile_any_angle()
+        made, largest, (first, last) = self._program, np.zeros(1), bounds
+        fields = self._fields | {"small_angle": made.entry, "any_angle": made.any_angle}
+        fields |= zip(("first", "count", "phase", "log"), at, strict=True)
+        stretch = np.array([tuple(fields[name] for name in STRETCH.names or ())], STRETCH)
+        logs, memory = Logs(*self._arrays, np.atleast_2d(q)), made.memory()
+        while (first := run(stretch, logs, memory, *totals, largest, first, last)) < last:
+            made.compile_any_angle()
+            stretch["any_angle"] = made.any_angle
         return float(largest[0])
 
 
@@ -205,14 +204,14 @@ def integrate(
 ) -> float:
     """Write the attitudes of whole logs, from q as in :meth:`GyroRun.carry`, into ``out``.
 
-    The windows begin anew at gaps. Returns the largest component of an angle over an interval, rad.
+    The windows begin anew at cuts. Returns the largest component of an angle over an interval, rad.
     """
     count, seen = out.shape[1] - 1, 0.0
     for first, last in stretches(window, spans, count):
         samples, apart = part(data, spans, increments, first, last)
         own = np.ascontiguousarray(out[:, first : last + 1])
         if first:
-            own = own.copy()  # the attitude before a gap is not normalised in the result
+            own = own.copy()  # the attitude before a cut is not normalised in the result
             q[:] = beginning(normalised(own[:, 0]), len(q), q.dtype)
         run = GyroRun(window, increments, samples, apart, own)
         seen = max(seen, run.carry(q, n_threads=n_threads, done=done))

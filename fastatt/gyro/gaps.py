@@ -1,7 +1,8 @@
-"""Gaps between samples, at which the windows of a method begin anew.
+"""Intervals between samples at which the windows of a method begin anew: gaps and short ones.
 
-A polynomial through samples on both sides of a gap magnifies their noise. The interval of a gap is
-therefore integrated as a separate log: of the two rates at its ends, or of its one increment.
+A polynomial through samples on both sides of a gap magnifies their noise, and so does one through
+samples that nearly coincide. Such an interval is therefore integrated as a separate log: of the two
+rates at its ends, or of its one increment.
 """
 
 from __future__ import annotations
@@ -17,33 +18,36 @@ from fastatt.methods.windows import Window
 
 #: intervals before one, whose median is the usual interval there
 RECENT = 8
-_LONG = 3.0  # times the usual interval: a gap
 
 
-def gaps(spans: Any, before: Any = ()) -> list[tuple[int, float]]:
-    """The gaps among intervals, s, and the usual interval at each.
+def cuts(uneven: float, spans: Any, before: Any = ()) -> list[tuple[int, float]]:
+    """The intervals, s, that do not fit into a window, and the usual interval at each.
 
-    ``before`` are up to ``RECENT`` intervals that came before these; the first of all intervals is
-    never a gap. Equal intervals, as one number, have no gap.
+    These are longer or shorter than the usual one by a factor of more than ``uneven``. ``before``
+    are up to ``RECENT`` intervals that came before these; the first of all intervals is never one
+    of them. Equal intervals, as one number, have none.
     """
     if not np.ndim(spans) or not len(spans):
         return []
     known = np.concatenate((before, spans), dtype=spans.dtype)
-    if spans.max() <= _LONG * known.min():
+    if known.max() <= uneven * known.min():
         return []
     padded = np.concatenate((np.repeat(known[:1], RECENT - len(before)), known))
-    least = padded  # of the intervals before, which spares most of the medians
+    least = most = padded  # of the intervals before, which spares many of the medians
     for step in (1, 2, 4):
         least = np.minimum(least[:-step], least[step:])
-    longer = np.flatnonzero(spans > _LONG * least[: len(spans)])
-    usual = np.median(sliding_window_view(padded, RECENT)[longer], axis=1)
-    found = spans[longer] > _LONG * usual
-    return list(zip(longer[found].tolist(), usual[found].tolist(), strict=True))
+        most = np.maximum(most[:-step], most[step:])
+    n = len(spans)
+    unlike = np.flatnonzero((spans > uneven * least[:n]) | (uneven * spans < most[:n]))
+    usual = np.median(sliding_window_view(padded, RECENT)[unlike], axis=1)
+    own = spans[unlike]
+    found = (own > uneven * usual) | (uneven * own < usual)
+    return list(zip(unlike[found].tolist(), usual[found].tolist(), strict=True))
 
 
 def stretches(window: Window, spans: Any, count: int) -> list[tuple[int, int]]:
-    """The first interval and the last + 1 of the parts of a log without a gap, and of its gaps."""
-    at = [k for k, _ in gaps(spans)] if window.intervals > 1 else []
+    """The first interval and the last + 1 of the parts of a log between cuts, and of its cuts."""
+    at = [k for k, _ in cuts(window.uneven, spans)] if window.intervals > 1 else []
     bounds = sorted({0, count, *at, *(k + 1 for k in at)})
     return list(pairwise(bounds))
 

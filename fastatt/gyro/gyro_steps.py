@@ -16,7 +16,6 @@ from fastatt.codegen.scalar import scalar_function
 from fastatt.gyro.integrate import method_of
 from fastatt.kernels import quat
 from fastatt.methods import coning2 as _coning2
-from fastatt.methods import coning3 as _coning3
 from fastatt.methods import hold as _hold
 from fastatt.methods import previous as _previous
 from fastatt.methods import trapezoid as _trapezoid
@@ -64,13 +63,8 @@ def _two(q, u):
     return turned(q, u[:3]) + turned(q, u[3:])
 
 
-@helper
-def _three(q, u):
-    return turned(q, u[:3]) + turned(q, u[3:6]) + turned(q, u[6:])
-
-
-# attitudes after each of one, two or three rotation vectors from the same attitude, flat
-_TURNED: dict[int, Any] = {1: _one, 2: _two, 3: _three}
+# attitudes after each of one or two rotation vectors from the same attitude, flat
+_TURNED: dict[int, Any] = {1: _one, 2: _two}
 
 
 @kernel
@@ -159,6 +153,11 @@ def previous(q, w0, w1, w2, h0, h1):
     -------
     tuple of 4 float
         Attitude at the time of ``w2``.
+
+    Notes
+    -----
+    The parabola magnifies noise if ``h0`` is much shorter than ``h1``; ``trapezoid`` does not. The
+    same holds of ``coning2`` if either interval is much shorter than the other.
     """
     return turned(q, _previous.rates(w0 + w1 + w2, (h0, h1)))
 
@@ -240,93 +239,6 @@ def coning2_increments(q, u0, u1, h0, h1):
     """
     found = _two(q, _coning2.increments(u0 + u1, (h0, h1)))
     return found[:4], found[4:]
-
-
-@kernel
-def coning3(q, w0, w1, w2, w3, h0, h1, h2):
-    """Integrate three intervals with the rates at four times.
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at the time of ``w0``, body to inertial.
-    w0 : tuple of 3 float
-        First rate, rad/s.
-    w1 : tuple of 3 float
-        Second rate, rad/s.
-    w2 : tuple of 3 float
-        Third rate, rad/s.
-    w3 : tuple of 3 float
-        Fourth rate, rad/s.
-    h0 : float
-        First interval, s.
-    h1 : float
-        Second interval, s.
-    h2 : float
-        Third interval, s.
-
-    Returns
-    -------
-    tuple of three tuples of 4 float
-        Attitudes at the ends of the three intervals.
-    """
-    found = _three(q, _coning3.rates(w0 + w1 + w2 + w3, (h0, h1, h2)))
-    return found[:4], found[4:8], found[8:]
-
-
-@kernel
-def coning3_increments(q, u0, u1, u2, h0, h1, h2):
-    """Integrate three intervals with their angle increments.
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at the start of the first interval, body to inertial.
-    u0 : tuple of 3 float
-        First angle increment, rad.
-    u1 : tuple of 3 float
-        Second angle increment, rad.
-    u2 : tuple of 3 float
-        Third angle increment, rad.
-    h0 : float
-        First interval, s.
-    h1 : float
-        Second interval, s.
-    h2 : float
-        Third interval, s.
-
-    Returns
-    -------
-    tuple of three tuples of 4 float
-        Attitudes at the ends of the three intervals.
-    """
-    found = _three(q, _coning3.increments(u0 + u1 + u2, (h0, h1, h2)))
-    return found[:4], found[4:8], found[8:]
-
-
-@kernel
-def coning3_optimal_increments(q, u0, u1, u2):
-    """Integrate three equal intervals with the coefficients that are optimal for pure coning.
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at the start of the first interval, body to inertial.
-    u0 : tuple of 3 float
-        First angle increment, rad.
-    u1 : tuple of 3 float
-        Second angle increment, rad.
-    u2 : tuple of 3 float
-        Third angle increment, rad.
-
-    Returns
-    -------
-    tuple of three tuples of 4 float
-        Attitudes at the ends of the intervals, of which the last is the optimal one.
-    """
-    one = type(u0[0])(1.0)
-    found = _three(q, _coning3.increments_optimal(u0 + u1 + u2, (one, one, one)))
-    return found[:4], found[4:8], found[8:]
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from fastatt.threads import number_of, progress_bar
 #: times the median: a longer interval is refused by default
 LONGEST = 10.0
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
+# rad; products of two larger angles of a window may overflow, also in single precision
+_HUGE = 1e9
 
 
 def integrate_rates(
@@ -45,8 +47,7 @@ def integrate_rates(
     q0 : array_like of shape (4,) or (N, 4), default (1, 0, 0, 0)
         Attitude at the first time, body to inertial, scalar first.
     method : str, default "previous"
-        "hold", "trapezoid" (rates only), "previous", "coning2", "coning3", "coning3_optimal" (equal
-        increments only) or "picard".
+        "hold", "trapezoid" (rates only), "previous", "coning2" or "picard".
     increments : bool, default False
         Whether ``rates`` are angle increments.
     dtype : {float64, float32}, optional
@@ -85,10 +86,10 @@ def integrate_rates(
 
     Notes
     -----
-    An interval longer than three times the median of the eight before it is treated as a gap, since
-    a polynomial through the samples on both sides would magnify their noise. The windows of the
-    method begin anew after it. The interval itself is integrated as if the rate varied linearly
-    between its ends, or from its increment; the error across it is mainly that of linear
+    An interval that is longer than three times the median of the eight before it, or shorter than a
+    third ("picard": twice, half), is integrated as if the rate varied linearly between its ends, or
+    from its increment, since a polynomial through the samples around it would magnify their noise.
+    The windows of the method begin anew after it. The error across a gap is mainly that of linear
     interpolation.
 
     Examples
@@ -108,8 +109,6 @@ def integrate_rates(
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
-    if isinstance(spans, np.ndarray):
-        check_intervals(record, uneven=True)
     threads = None if n_threads is None else number_of(n_threads)
     start = NO_TURN if q0 is _UNTURNED else unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
@@ -129,7 +128,7 @@ def integrate_rates(
     else:
         seen = run(n_threads=threads)
     # a sample that is not finite affects every later attitude; the last one may be unused
-    if not checks.all_finite(q, data[:, -1]):
+    if not (checks.all_finite(q, data[:, -1]) and is_finite(seen, out)):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
     warn_of_turns(seen, data, spans, record, increments)
@@ -138,18 +137,12 @@ def integrate_rates(
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Quaternions (4,) or (N, 4) of any norm above zero, normalised and without −0."""
-    given: Any = value.tolist() if type(value) is np.ndarray and value.shape == (4,) else value
-    if type(given) in {tuple, list} and len(given) == 4:
-        # the same operations on numbers, which take less time than on short arrays
-        a, b, c, d = given
-        if type(a) is type(b) is type(c) is type(d) is float:
-            most = max(abs(a), abs(b), abs(c), abs(d))
-            if 0.0 < most < math.inf:
-                a, b, c, d = a / most, b / most, c / most, d / most
-                length = math.sqrt(a * a + b * b + c * c + d * d)
-                if length < math.inf:
-                    return np.array([0.0 + x / length for x in (a, b, c, d)])
     return normalised(checks.attitudes(name, value).astype(np.float64)) + 0.0
+
+
+def is_finite(seen: float, out: NDArray[Any]) -> bool:
+    """Whether attitudes are finite; only after huge angles some of a window's may not be."""
+    return seen < _HUGE or checks.all_finite(out)
 
 
 def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
@@ -211,15 +204,6 @@ def method_of(name: str, increments: bool) -> Method:
     if type(name) is not str or name not in named:
         name = checks.choice("method", name, named)
     return named[name]
-
-
-def check_intervals(method: Method, *, uneven: bool) -> None:
-    """Refuse a method for equal intervals if they may differ."""
-    if uneven and method.window is not None and method.window.even:
-        raise ValueError(
-            f'dt: found intervals; accepted with "{method.name}": one number, its coefficients '
-            "hold for equal intervals alone"
-        )
 
 
 def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any]) -> NDArray[Any]:

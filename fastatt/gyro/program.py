@@ -3,10 +3,11 @@
 ``run(part, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
 for each lane. ``part`` selects what is done:
 
+- ``SAMPLES``, ``INTERVALS``: the largest sizes of samples, or intervals, [first, last).
 - ``WINDOWS``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
-- ``PLACE``: attitudes [first, last) become p∘r, with p in the rows ``START`` of ``state``.
-- ``JOIN``: for the lanes [first, last), p at the start of the next chunk, ``NEXT``, from ``START``
-  and the rotation of this chunk, ``TURNED``.
+- ``PLACE``: attitudes [first, last) become p∘r, with p in the rows ``start`` of ``state``.
+- ``JOIN``: for the lanes [first, last), p at the start of the next chunk, ``next``, from ``start``
+  and the rotation of this chunk, ``turned``.
 """
 
 from __future__ import annotations
@@ -16,18 +17,25 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numba import config
-from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.gyro.loops import ITERATION, JOIN, LANES, NEXT, PLACE, START, TURNED, WINDOWS
+from fastatt.gyro.loops import (
+    INTERVALS,
+    JOIN,
+    LANES,
+    PLACE,
+    ROWS,
+    SAMPLES,
+    WINDOWS,
+    Chunk,
+)
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.graph import Graph
+from fastatt.tracing.graph import Graph, choose
 from fastatt.tracing.trace import traceable
 
 _SAMPLES, _SPANS, _ATTITUDES, _STATE = range(4)
@@ -47,24 +55,24 @@ class GyroProgram(TwoForms):
     ) -> None:
         self.window, self.increments, self.uneven = window, increments, uneven
         self.precision, self.kind = precision, _KINDS[precision]
-        self._vector = LANES if config.DISABLE_JIT else processor().lanes(self.kind)
-        self._state = ITERATION
+        self._vector = processor().lanes(self.kind)
+        self._state = ROWS.iteration
         # an iteration has the same form for all angles
-        super().__init__(plain=config.DISABLE_JIT, one_form=window.iteration is not None)
+        super().__init__(one_form=window.iteration is not None)
 
-    def _new_memory(self) -> list[NDArray[Any]]:
-        """Arrays for samples, intervals, attitudes and state of a chunk's lanes."""
+    def _new_memory(self) -> Chunk:
+        """Rows for samples, intervals, attitudes and state of a chunk's lanes."""
         rows = (3 * (CHUNK + MOST_HISTORY + 1), CHUNK + MOST_HISTORY, 4 * CHUNK + 4, self._state)
-        return [aligned(n * LANES, self.precision) for n in rows]
+        return Chunk(*(aligned(n * LANES, self.precision).reshape(n, LANES) for n in rows))
 
     def _compiled(self, *, small_angle: bool) -> Any:
         formulas = self._windows(small_angle)
         if small_angle:
-            formulas |= self._chain()
+            formulas |= self._chain() | self._largest()
         text = "\n".join([*self._text(formulas), ""])
         shape = Shape(self.kind, LANES, self._vector)
         made = LaneProgram(text, formulas, shape, (self.kind,) * 4)
-        return made.in_python() if config.DISABLE_JIT else made.compiled()
+        return made.compiled()
 
     def _text(self, formulas: _Formulas) -> Iterator[str]:
         lanes = f"for j in range(0, {LANES}, {self._vector}):"
@@ -79,6 +87,11 @@ class GyroProgram(TwoForms):
         else:
             yield from _passes(self.window.iteration, at, self._state - 1, self._vector)
         if "place" in formulas:
+            for part, name in ((SAMPLES, "sample"), (INTERVALS, "interval")):
+                at = f"i * {3 * LANES} + j, i * {LANES} + j, j, j"
+                yield f"    if part == {part}:"
+                yield "        for i in range(first, last):"
+                yield f"            {lanes} {_CALL.format(name=name, offsets=at)}"
             yield f"    if part == {PLACE}:"
             yield "        for i in range(first, last):"
             place = _CALL.format(name="place", offsets=f"j, j, i * {4 * LANES} + j, j")
@@ -94,8 +107,8 @@ class GyroProgram(TwoForms):
     ) -> LaneFormula:
         """A formula; its results go to ``rows`` from the first on, or to these rows in order."""
         begin = {
-            "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, START),
-            "turned": (_STATE, TURNED), "state": (_STATE, ITERATION),
+            "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, ROWS.start),
+            "turned": (_STATE, ROWS.turned), "state": (_STATE, ROWS.iteration),
         }  # fmt: skip
 
         def place(group: str, i: int) -> Place:
@@ -116,8 +129,20 @@ class GyroProgram(TwoForms):
         joined = Flat(join, traceable(quat.renormalise)(tuple(products(p, turned))), self.kind)
         return {
             "place": self._formula(placed, _ATTITUDES, 0),
-            "join": self._formula(joined, _STATE, NEXT, lanes=1),
+            "join": self._formula(joined, _STATE, ROWS.next, lanes=1),
         }
+
+    def _largest(self) -> _Formulas:
+        """The largest sizes of samples and of intervals so far."""
+        formulas = {}
+        for name, group, n in (("sample", "v", 3), ("interval", "h", 1)):
+            graph = Graph()
+            sizes = map(abs, graph.inputs(self.kind, group, n))
+            # NaN is ignored
+            most = functools.reduce(lambda x, y: choose(y > x, y, x), sizes, 0.0)
+            formula = self._formula(Flat(graph, (most,), self.kind), _STATE, getattr(ROWS, name))
+            formulas[name] = formula._replace(largest=0)
+        return formulas
 
     def _windows(self, small_angle: bool) -> _Formulas:
         """The attitudes of a window, the last of which is the first of the next window."""
@@ -134,7 +159,7 @@ class GyroProgram(TwoForms):
         begin, again, end = Graph(), Graph(), Graph()
         state = iteration.begin(self.increments, *self._given(begin))
         size = len(state)
-        self._state = ITERATION + size
+        self._state = ROWS.iteration + size
         before = again.inputs(self.kind, "state", size)
         after = iteration.again(before)
         changed = [i for i in range(size) if after[i] is not before[i]]
@@ -142,8 +167,8 @@ class GyroProgram(TwoForms):
         read = products(end.inputs(self.kind, "q", 4), found)
         improved = Flat(again, [after[i] for i in changed], self.kind)
         return {
-            "begin": self._formula(Flat(begin, state, self.kind), _STATE, ITERATION),
-            "improve": self._formula(improved, _STATE, ITERATION, changed),
+            "begin": self._formula(Flat(begin, state, self.kind), _STATE, ROWS.iteration),
+            "improve": self._formula(improved, _STATE, ROWS.iteration, changed),
             "read": self._formula(Flat(end, read, self.kind), _ATTITUDES, 4),
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
 from fastatt.gyro.engine import GyroRun, beginning, finish
-from fastatt.gyro.gaps import RECENT, gaps
+from fastatt.gyro.gaps import RECENT, cuts
 from fastatt.gyro.integrate import (
     LONGEST,
-    check_intervals,
     intervals,
+    is_finite,
     largest_gap,
     method_of,
     overflow,
@@ -32,7 +33,8 @@ class GyroIntegrator:
 
     The attitudes are those of :func:`fastatt.integrate_rates` over the whole log, bit for bit,
     however it is divided, unless ``q`` is assigned. An integrator can be pickled and copied, and
-    continues from there.
+    continues from there. Calls from several threads run one after another, in no set order: the
+    order of samples is certain only if one thread pushes them.
 
     Parameters
     ----------
@@ -66,11 +68,11 @@ class GyroIntegrator:
 
     Notes
     -----
-    With "coning2", "coning3" and "picard", ``push`` returns the attitudes of a window when the last
-    sample of the window arrives. With "previous" it returns an attitude for every sample, with one
+    With "coning2" and "picard", ``push`` returns the attitudes of a window when the last sample of
+    the window arrives. With "previous" it returns an attitude for every sample, with one
     exception: since the rate before the first one is extrapolated from three rates, the second rate
     returns none, and the third returns two. (Of increments, the first returns the initial attitude,
-    and the second two more.) The same holds after a gap, where the windows begin anew.
+    and the second two more.) The same holds where the windows begin anew.
     """
 
     def __init__(
@@ -84,9 +86,9 @@ class GyroIntegrator:
         n_threads: int | None = None,
         max_gap: float | None = None,
     ) -> None:
+        self._lock = threading.Lock()
         record = method_of(method, increments)
         self._method = record.name
-        check_intervals(record, uneven=dt is None)
         self._increments = increments
         start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1
@@ -98,11 +100,18 @@ class GyroIntegrator:
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
         self._begun = self._closed = False
-        # intervals given; done since the last gap, and before it; of those done, how many the kept
+        # intervals given; done since the last cut, and before it; of those done, how many the kept
         # samples and intervals cover
         self._given = self._done = self._before = self._lead = 0
         self._samples: NDArray[Any] = np.empty((0, 0, 3))
         self._spans = self._q = self._last = self._recent = np.empty(0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._lock:
+            return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _lock=threading.Lock())
 
     @property
     def q(self) -> NDArray[Any]:
@@ -111,18 +120,20 @@ class GyroIntegrator:
         To correct it, for example with the update of a filter, assign an attitude of any norm above
         zero. Later attitudes follow from the assigned one.
         """
-        last = self._last if self._begun else self._start
+        with self._lock:
+            last = self._last if self._begun else self._start
         return np.array(last[0] if self._one else last)
 
     @q.setter
     def q(self, value: ArrayLike) -> None:
-        self._check_open()
         accepted = "(4,)" if self._one else f"(4,) or ({len(self._start)}, 4)"
-        given = unit_quaternions("q", checks.attitudes("q", value, accepted))
-        self._start = np.tile(given, (len(self._start), 1)) if given.ndim == 1 else given
-        if self._begun:
-            self._last = self._start.astype(self._last.dtype)
-            self._q = beginning(self._start, len(self._start), self._last.dtype)
+        with self._lock:
+            self._check_open()
+            given = unit_quaternions("q", checks.attitudes("q", value, accepted))
+            self._start = np.tile(given, (len(self._start), 1)) if given.ndim == 1 else given
+            if self._begun:
+                self._last = self._start.astype(self._last.dtype)
+                self._q = beginning(self._start, len(self._start), self._last.dtype)
 
     def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
         """Add samples, and return the attitudes that they complete.
@@ -152,6 +163,10 @@ class GyroIntegrator:
             If the rotation angle over an interval exceeds the method's limit, or an interval is a
             gap in which many samples are missing, unless ``max_gap`` is given.
         """
+        with self._lock:
+            return self._pushed(rates, dt)
+
+    def _pushed(self, rates: ArrayLike, dt: ArrayLike | None) -> NDArray[Any]:
         self._check_open()
         n_logs, increments = len(self._start), self._increments
         accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
@@ -162,7 +177,7 @@ class GyroIntegrator:
         spans = self._intervals(dt, n if self._begun or increments else n - 1, precision)
         kept = self.__dict__.copy()
         try:
-            found = self._through_gaps(samples, spans)
+            found = self._through_cuts(samples, spans)
         except BaseException:
             self.__dict__.update(kept)
             raise
@@ -181,23 +196,25 @@ class GyroIntegrator:
         ValueError
             If the integrator was closed before.
         """
-        self._check_open()
-        self._closed = True
-        found = self._rest() if self._begun else np.empty((len(self._start), 0, 4))
+        with self._lock:
+            self._check_open()
+            self._closed = True
+            found = self._rest() if self._begun else np.empty((len(self._start), 0, 4))
         return found[0] if self._one else found
 
-    def _through_gaps(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
-        """The attitudes that are final after further samples; windows begin anew at gaps."""
+    def _through_cuts(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
+        """The attitudes that are final after further samples; windows begin anew at cuts."""
         late = not (self._begun or self._increments)  # the very first rate ends no interval
         parts, done = [], 0
-        for k, usual in gaps(spans, self._recent):
+        window = METHODS[self._method].window
+        for k, usual in cuts(window.uneven, spans, self._recent):
             if self._warns and spans[k] > LONGEST * usual:
                 rounding.warn(
                     f"dt: interval {self._given + k} of {spans[k]:.3g} s is a gap, "
                     f"{spans[k] / usual:.2g} times the median of the {RECENT} before: correct the "
                     "attitude after it, or pass max_gap to accept it"
                 )
-            if METHODS[self._method].window.intervals > 1:
+            if window.intervals > 1:
                 parts += [(done, k), (k, k + 1)]
                 done = k + 1
         parts.append((done, len(spans) if np.ndim(spans) else samples.shape[1] - late))
@@ -216,7 +233,7 @@ class GyroIntegrator:
         return np.concatenate(found, axis=1)
 
     def _take(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
-        """The attitudes that are final after further samples, without a gap."""
+        """The attitudes that are final after further samples, without a cut."""
         q = self._q
         if self._begun:
             samples = np.concatenate((self._samples, samples), axis=1)
@@ -234,7 +251,7 @@ class GyroIntegrator:
         return self._advanced(samples, spans, q, count)
 
     def _rest(self) -> NDArray[Any]:
-        """The attitudes at all samples so far, at the end of a log or before a gap."""
+        """The attitudes at all samples so far, at the end of a log or before a cut."""
         count = self._samples.shape[1] - self._lead - (not self._increments)
         return self._advanced(self._samples, self._spans, self._q, count, end=True)
 
@@ -290,7 +307,7 @@ class GyroIntegrator:
         else:
             run = GyroRun(window, increments, samples, spans, out, lead)
             seen = run.carry(q, phase=self._done % CHUNK, n_threads=self._threads)
-        if not checks.all_finite(out[:, -1]):
+        if not (checks.all_finite(out[:, -1]) and is_finite(seen, out)):
             raise overflow("rates", samples.dtype)
         own = samples[:, lead : lead + count + (not increments)]
         apart = spans if self._dt is not None else spans[lead : lead + count]

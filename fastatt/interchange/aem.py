@@ -6,9 +6,11 @@ not converted; their names are kept as they are given.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -18,18 +20,19 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised, quat_multiply, quat_rotate, quat_rotate_inverse
+from fastatt.files import writing
 from fastatt.interchange import epochs
-from fastatt.interchange.conventions import from_scalar_last, to_passive, to_scalar_last
+from fastatt.interchange.tables import check_run
 
 _DERIVATIVE = "QUATERNION/DERIVATIVE"
 # numbers in a data line after its time, by version and type; the last type has angular velocities
-TYPES = {
+_TYPES = {
     "1.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/RATE": 7},
     "2.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/ANGVEL": 7},
 }
-RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
+_RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
 # properties that are fixed in version 2.0 and have keywords in 1.0
-FIXED = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
+_FIXED = {"ATTITUDE_DIR": "A2B", "QUATERNION_TYPE": "LAST"}
 _HEADER = ("CLASSIFICATION", "CREATION_DATE", "ORIGINATOR", "MESSAGE_ID")
 _REQUIRED = (
     "OBJECT_NAME", "OBJECT_ID", "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "START_TIME",
@@ -47,11 +50,19 @@ _CARRIED = (
     "ACC", "ACTUATOR", "AST", "CSS", "DSS", "ESA", "GYRO", "IMU", "INSTRUMENT", "MTA", "RW", "SA_",
     "SC_BODY", "SENSOR", "STARTRACKER", "TAM",
 )  # fmt: skip
+# the frames of SANA's registries that rotate with the Earth, another body or an orbit
+_ROTATES = re.compile(
+    r"(ITRF|GTOD|TDR|GRC|EFG|WGS|ECEF|ECF|PEF|TIRS|IAU_|FIXED_|LVLH|VVLH|RSW|RTN|RIC|QSW|TNW|NTW|VNC"
+    r"|SEZ)(?!.*INERTIAL)"
+)
+# s; START_TIME and STOP_TIME may be rounded to ms
+_ROUNDED_TIME = 0.0005
 # range of |q| for a file's numbers, which are rounded to a few digits
 _ROUNDED = 0.01
 _MARKS = ("META_START", "META_STOP", "DATA_START", "DATA_STOP")
-#: a line and its number
+#: a line and its number; those of a section, and its comments
 _Numbered = tuple[int, str]
+_Section = tuple[list[_Numbered], tuple[str, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +113,7 @@ class Aem:
     version: str
     header: Mapping[str, str]
     segments: tuple[AemSegment, ...]
-    comments: tuple[str, ...] = field(default=())
+    comments: tuple[str, ...] = ()
 
     def text(self) -> str:
         """Return the message as text.
@@ -119,12 +130,14 @@ class Aem:
         ValueError
             If this is not a valid message, for example if times do not rise.
         """
-        checks.choice("version", self.version, TYPES)
-        if not self.segments:
-            raise ValueError("segments: found none; accepted: one or more")
+        checks.choice("version", self.version, _TYPES)
+        segments = checks.several("segments", self.segments, "AemSegment")
+        if not segments or not all(isinstance(x, AemSegment) for x in segments):
+            found = checks.brief(self.segments)
+            raise ValueError(f"segments: found {found}; accepted: one AemSegment or more")
         lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
         lines += _assignments("header", self.header, _HEADER)
-        for k, segment in enumerate(self.segments):
+        for k, segment in enumerate(segments):
             lines += ["", *_block(segment, self.version, f"segments[{k}]")]
         return "\n".join(lines) + "\n"
 
@@ -135,8 +148,15 @@ class Aem:
         ----------
         path : str or Path
             The file.
+
+        Raises
+        ------
+        ValueError
+            If this is not a valid message, as in :meth:`text`, or the path is a directory.
         """
-        checks.path("path", path).write_text(self.text(), encoding="ascii")
+        text = self.text()
+        with writing("path", path, text="ascii") as file:
+            file.write(text)
 
 
 def read_aem(path: str | Path) -> Aem:
@@ -161,7 +181,7 @@ def read_aem(path: str | Path) -> Aem:
     ValueError
         If the file is not such a message, or can be read in two ways: an unknown order of a
         quaternion's numbers, rates along an unknown frame, Euler rates, data outside START_TIME and
-        STOP_TIME. The message names the line.
+        STOP_TIME by more than half a millisecond. The message names the line.
 
     Examples
     --------
@@ -180,21 +200,18 @@ def read_aem(path: str | Path) -> Aem:
     try:
         text = checks.path("path", path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(
-            f"{path}: found bytes that are no text in ASCII or UTF-8 (UTF-16, or a binary file); "
-            "accepted: a message as text"
-        ) from None
+        text = ""
     lines = [(k, line.strip()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
-        raise ValueError(f"{path}: is empty; accepted: a message, from CCSDS_AEM_VERS on")
+        raise ValueError(f"{path}: found no text in ASCII or UTF-8; accepted: a message")
     with _prefixed(f"line {lines[0][0]}"):
         key, version = _assignment(lines[0][1])
-        if key != "CCSDS_AEM_VERS" or version not in TYPES:
+        if key != "CCSDS_AEM_VERS" or version not in _TYPES:
             raise ValueError(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
     sections = _sections(lines)
-    header, comments = _values(next(sections))
+    about, comments = next(sections)
     segments = tuple(_segment(*block, version) for block in zip(sections, sections, strict=True))
-    return Aem(version, header, segments, comments)
+    return Aem(version, _values(about), segments, comments)
 
 
 @contextmanager
@@ -206,18 +223,21 @@ def _prefixed(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {error}") from None
 
 
-def _sections(lines: list[_Numbered]) -> Iterator[list[_Numbered]]:
-    """Lines of the header, then of each block those of its metadata and those of its data."""
+def _sections(lines: list[_Numbered]) -> Iterator[_Section]:
+    """Of the header, then of each block's metadata and its data: the lines, and the comments."""
     marks = cycle(_MARKS)
     mark, inside = next(marks), True
     section: list[_Numbered] = []
+    comments: list[str] = []
     for k, line in lines[1:]:
         if line == mark:
             if inside:
-                yield section
-            section, inside, mark = [], mark.endswith("START"), next(marks)
+                yield section, tuple(comments)
+            section, comments, inside, mark = [], [], mark.endswith("START"), next(marks)
         elif not inside or line in _MARKS:
             raise ValueError(f"line {k}: found {line}; accepted: {mark}")
+        elif line.startswith("COMMENT"):
+            comments.append(line[7:].strip())
         else:
             section.append((k, line))
     if inside or mark != _MARKS[0]:
@@ -232,64 +252,54 @@ def _assignment(line: str) -> tuple[str, str]:
     return key, value
 
 
-def _values(section: list[_Numbered]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Values by keyword, and the comments between them."""
-    found: dict[str, str] = {}
-    comments = []
+def _values(section: list[_Numbered]) -> dict[str, str]:
+    """Values by keyword."""
+    values: dict[str, str] = {}
     for k, line in section:
         with _prefixed(f"line {k}"):
-            if line.startswith("COMMENT"):
-                comments.append(line[7:].strip())
-                continue
             key, value = _assignment(line)
-            if key in found:
+            if key in values:
                 raise ValueError(f"{key} is there twice")
-            found[key] = value
-    return found, tuple(comments)
+            values[key] = value
+    return values
 
 
-def _segment(about: list[_Numbered], data: list[_Numbered], version: str) -> AemSegment:
-    metadata, comments = _values(about)
-    with _prefixed(f"metadata up to line {about[-1][0] if about else 0}"):
+def _segment(about: _Section, data: _Section, version: str) -> AemSegment:
+    metadata = _values(about[0])
+    with _prefixed(f"metadata up to line {about[0][-1][0] if about[0] else 0}"):
         layout = _Layout(metadata, version)
-    comments += tuple(line[7:].strip() for _, line in data if line.startswith("COMMENT"))
+        if not data[0]:
+            raise ValueError("found no data line; accepted: one or more")
     tags, rows = [], []
-    for k, line in data:
-        if line.startswith("COMMENT"):
-            continue
+    for k, line in data[0]:
         tag, *numbers = line.split()
         try:
             row = np.array(numbers, dtype=np.float64)
         except ValueError:
             row = np.empty(0)
-        if row.size != layout.count or not np.isfinite(row).all():
+        is_unit = abs(float(np.linalg.norm(row[:4])) - 1.0) <= _ROUNDED
+        if row.size != layout.count or not is_unit or not np.isfinite(row).all():
             raise ValueError(
                 f"line {k}: found {line}; accepted: a time and {layout.count} numbers, "
-                f"{layout.kind}"
+                f"{layout.kind}, the quaternion of length 1"
             )
         tags.append(tag)
         rows.append(row)
-    with _prefixed(f"data up to line {data[-1][0] if data else about[-1][0]}"):
-        if not tags:
-            raise ValueError("found no data line; accepted: one or more")
+    with _prefixed(f"data up to line {data[0][-1][0]}"):
         t = _checked_times(tags, metadata)
-        q, w = layout.read(np.array(rows))
-        size = np.linalg.norm(q, axis=1)
-        if (np.abs(size - 1.0) > _ROUNDED).any():
-            k = int(np.argmax(np.abs(size - 1.0)))
-            raise ValueError(f"quaternion at {tags[k]} has length {size[k]:.3g}; accepted: 1")
-    return AemSegment(tags[0], t, q, w, metadata, comments)
+    q, w = layout.read(np.array(rows))
+    return AemSegment(tags[0], t, q, w, metadata, about[1] + data[1])
 
 
 def _checked_times(tags: list[str], metadata: Mapping[str, str]) -> NDArray[np.float64]:
     """Seconds since the first of a block's time tags, which rise within the block's span."""
     span = [metadata["START_TIME"], metadata["STOP_TIME"]]
-    found = epochs.seconds_since(tags[0], [*tags, *span], leaps=_has_leaps(metadata))
+    found = epochs.seconds_since(tags[0], [*tags, *span], leaps=epochs.has_leaps(metadata))
     t, (start, stop) = found[:-2], found[-2:]
     falls = np.flatnonzero(np.diff(t) <= 0.0)
     if falls.size:
         raise ValueError(f"time {tags[falls[0] + 1]} does not rise; accepted: rising times")
-    if not start <= t[0] <= t[-1] <= stop:
+    if t[0] < start - _ROUNDED_TIME or t[-1] > stop + _ROUNDED_TIME:
         raise ValueError(
             f"found times from {tags[0]} to {tags[-1]}; accepted: within START_TIME and STOP_TIME, "
             f"{span[0]} to {span[1]}"
@@ -297,33 +307,26 @@ def _checked_times(tags: list[str], metadata: Mapping[str, str]) -> NDArray[np.f
     return t
 
 
-def _has_leaps(metadata: Mapping[str, str]) -> bool:
-    """Whether a block's time system has leap seconds."""
-    return metadata["TIME_SYSTEM"].upper() == "UTC"
-
-
 def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     """Lines of a segment."""
-    metadata = {"START_TIME": "", "STOP_TIME": "", **segment.metadata}
     t = checks.array(f"{name}.t", segment.t, "(S,)").astype(np.float64)
     q = checks.attitudes(f"{name}.q", segment.q, f"({t.size}, 4)")
+    tags = epochs.tags(segment.epoch, t, leaps=epochs.has_leaps(segment.metadata))
+    metadata = {"START_TIME": tags[0], "STOP_TIME": tags[-1], **segment.metadata}
     with _prefixed(f"{name}.metadata"):
         layout = _Layout(metadata, version)
-    w = None
-    if layout.count > 4:
-        if segment.w is None:
-            raise ValueError(f"{name}.w: is missing; {layout.kind} needs (S, 3), rad/s")
-        w = checks.array(f"{name}.w", segment.w, f"({t.size}, 3)")
-    tags = epochs.tags(segment.epoch, t, leaps=_has_leaps(metadata))
-    metadata["START_TIME"] = metadata["START_TIME"] or tags[0]
-    metadata["STOP_TIME"] = metadata["STOP_TIME"] or tags[-1]
+    given: Any = [] if segment.w is None else segment.w
+    w = checks.array(f"{name}.w", given, f"({t.size}, 3)") if layout.count > 4 else None
     with _prefixed(f"{name}.t"):
         _checked_times(tags, metadata)
     yield "META_START"
     yield from _comments(segment.comments)
     yield from _assignments(f"{name}.metadata", metadata, _METADATA)
     yield from ("META_STOP", "", "DATA_START")
-    for tag, row in zip(tags, layout.written(q, w).tolist(), strict=True):
+    with np.errstate(over="ignore"):
+        rows = layout.written(q, w)
+    checks.finite(f"{name}.w in degrees", rows[:, 4:])
+    for tag, row in zip(tags, rows.tolist(), strict=True):
         yield " ".join([tag, *map(_number, row)])
     yield "DATA_STOP"
 
@@ -338,73 +341,65 @@ class _Layout:
     """
 
     def __init__(self, metadata: Mapping[str, str], version: str) -> None:
-        said = metadata if version == "1.0" else {**FIXED, **metadata}
-
-        def choice(key: str, accepted: Iterable[str]) -> str:
-            found = said.get(key, "").upper()
-            if found not in accepted:
-                start = f"found {key} = {found}" if found else f"{key} is missing"
-                raise ValueError(f"{start}; accepted: {', '.join(accepted)}")
-            return found
-
         missing = [key for key in _REQUIRED if key not in metadata]
         if missing:
             raise ValueError(f"metadata without {', '.join(missing)}")
-        self.kind = choice("ATTITUDE_TYPE", TYPES[version])
-        self.count = TYPES[version][self.kind]
-        self.scalar_first = choice("QUATERNION_TYPE", ("FIRST", "LAST")) == "FIRST"
-        backward = choice("ATTITUDE_DIR", ("A2B", "B2A")) == "B2A"
-        a, b = (metadata[f"REF_FRAME_{x}"].upper() for x in "AB")
+        said = {} if version == "1.0" else dict(_FIXED)
+        said |= {key: value.upper() for key, value in metadata.items()}
+        self.kind = checks.choice("ATTITUDE_TYPE", said["ATTITUDE_TYPE"], _TYPES[version])
+        self.count = _TYPES[version][self.kind]
+        order = checks.choice("QUATERNION_TYPE", said.get("QUATERNION_TYPE"), ("FIRST", "LAST"))
+        direction = checks.choice("ATTITUDE_DIR", said.get("ATTITUDE_DIR"), ("A2B", "B2A"))
+        a, b = said["REF_FRAME_A"], said["REF_FRAME_B"]
         swapped = a.startswith(_CARRIED) and not b.startswith(_CARRIED)
-        self.reverse = backward != swapped
+        self.turn = -1 if order == "LAST" else 0
+        back = (direction == "B2A") != swapped
+        self.signs = np.array([1.0, -1.0, -1.0, -1.0] if back else [1.0] * 4, dtype=np.float64)
         self.sign = -1.0 if swapped else 1.0
         self.in_body = True
         if self.count == 7:
-            if backward or "EULER_ROT_SEQ" in metadata:
+            if direction == "B2A" or "EULER_ROT_SEQ" in metadata:
                 raise ValueError(
                     f"{self.kind} with ATTITUDE_DIR B2A or EULER_ROT_SEQ can be read in two ways; "
                     f"accepted: A2B without it, or {_DERIVATIVE}"
                 )
-            names = dict.fromkeys(("REF_FRAME_A", "REF_FRAME_B", a, b))
-            along = choice(RATES_ALONG[version], names)
+            key, frames = _RATES_ALONG[version], ("REF_FRAME_A", "REF_FRAME_B", a, b)
+            along = checks.choice(key, said.get(key), frames)
             self.in_body = along in (("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b))
 
     def read(self, rows: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """(q, w) from the numbers of data lines."""
-        q = self._read_quaternions(rows[:, :4])
+        q = self._turned(rows[:, :4])
         if self.count == 4:
             return q, None
         if self.kind == _DERIVATIVE:
             # w = 2 q*∘q̇, of unit q
-            rate = 2.0 * quat_multiply(to_passive(q), self._read_quaternions(rows[:, 4:]))[:, 1:]
+            rate = 2.0 * quat_multiply(q * [1, -1, -1, -1], self._turned(rows[:, 4:]))[:, 1:]
             return q, rate / (q * q).sum(axis=1, keepdims=True)
         w = self.sign * np.radians(rows[:, 4:])
         return q, w if self.in_body else quat_rotate_inverse(normalised(q), w)
 
-    def _read_quaternions(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _turned(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """Quaternions, scalar first, from the spacecraft's frame to the other one."""
-        p = numbers if self.scalar_first else from_scalar_last(numbers)
-        return to_passive(p) if self.reverse else p
+        return np.roll(numbers, -self.turn, axis=1) * self.signs
 
     def written(self, q: NDArray[Any], w: NDArray[Any] | None) -> NDArray[np.float64]:
         """The numbers of data lines from (q, w)."""
         parts = [q]
         if w is not None and self.kind == _DERIVATIVE:
-            parts.append(0.5 * quat_multiply(q, np.concatenate([0.0 * w[:, :1], w], axis=1)))
-        parts = [to_passive(p) if self.reverse else p for p in parts]
-        parts = [p if self.scalar_first else to_scalar_last(p) for p in parts]
+            parts.append(0.5 * quat_multiply(q, np.insert(w, 0, 0.0, axis=1)))
+        parts = [np.roll(p * self.signs, self.turn, axis=1) for p in parts]
         if w is not None and self.kind != _DERIVATIVE:
-            parts.append(
-                self.sign * np.degrees(w if self.in_body else quat_rotate(normalised(q), w))
-            )
+            along = w if self.in_body else quat_rotate(normalised(q), w)
+            parts.append(self.sign * np.degrees(along))
         return np.concatenate(parts, axis=1)
 
 
 def _comments(comments: tuple[str, ...]) -> list[str]:
-    return [f"COMMENT {one_line('comments', x)}" for x in comments]
+    return [f"COMMENT {_one_line('comments', x)}" for x in comments]
 
 
-def one_line(name: str, value: Any) -> str:
+def _one_line(name: str, value: Any) -> str:
     """A value that is one line of ASCII."""
     if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
         return value
@@ -413,12 +408,14 @@ def one_line(name: str, value: Any) -> str:
 
 def _assignments(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> Iterator[str]:
     """Lines in the standard's order."""
+    if not isinstance(values, Mapping):
+        raise TypeError(f"{name}: found {checks.brief(values)}; accepted: a mapping of str to str")
     unknown = [key for key in values if key not in known]
     if unknown:
         raise ValueError(f"{name}: found {', '.join(unknown)}; accepted: {', '.join(known)}")
     for key in known:
         if key in values:
-            yield f"{key} = {one_line(f'{name} {key}', values[key])}"
+            yield f"{key} = {_one_line(f'{name} {key}', values[key])}"
 
 
 def _number(x: float) -> str:
@@ -426,3 +423,60 @@ def _number(x: float) -> str:
     text = repr(x + 0.0)  # the standard has no −0
     mantissa, e, power = text.partition("e")
     return text if "." in mantissa or not e else f"{mantissa}.0e{power}"
+
+
+def aem_of(
+    run: Any,
+    *,
+    epoch: str | datetime,
+    frame: str,
+    body_frame: str = "SC_BODY_1",
+    body: int | None = None,
+    version: str = "2.0",
+    attitude_type: str | None = None,
+    metadata: Mapping[str, str] | None = None,
+    header: Mapping[str, str] | None = None,
+) -> Aem:
+    """The message of one body of a run, as :meth:`fastatt.Trajectory.to_aem` writes it."""
+    check_run(run)
+    types = list(_TYPES[checks.choice("version", version, _TYPES)])
+    kind = checks.choice("attitude_type", attitude_type or types[-1], types)
+    said = {
+        **dict.fromkeys(("OBJECT_NAME", "OBJECT_ID"), "UNKNOWN"),
+        "REF_FRAME_A": _one_line("frame", frame),
+        "REF_FRAME_B": _one_line("body_frame", body_frame),
+        "TIME_SYSTEM": "UTC",
+        "ATTITUDE_TYPE": kind,
+        **(_FIXED if version == "1.0" else {}),
+    }
+    if kind == types[-1]:
+        said[_RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
+    said |= _keywords("metadata", metadata)
+    inertial, own = said["REF_FRAME_A"].upper(), said["REF_FRAME_B"].upper()
+    if _ROTATES.match(inertial) or inertial == own:
+        raise ValueError(
+            f"frame: found {inertial}, with {own} for the body; accepted: an inertial frame such "
+            "as EME2000 or ICRF, from which a run has its attitudes and rates"
+        )
+    n = run.status.size
+    k = 0 if body is None else checks.whole("body", body, 0)
+    if k >= n or (body is None and n > 1):
+        raise ValueError(
+            f"body: found {body}; accepted: 0 to {n - 1}, since a message is of one object"
+        )
+    q, w = ((x if run.one_body else x[:, k]).astype(np.float64) for x in (run.q, run.w))
+    begin, t = epochs.of_run(epoch, run.t, said["TIME_SYSTEM"])
+    first = {"CREATION_DATE": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")}
+    first |= {"ORIGINATOR": "FASTATT", **_keywords("header", header)}
+    direction, order = ({**_FIXED, **said}[key] for key in _FIXED)
+    comment = f"quaternions: scalar {order.lower()}, {direction} of REF_FRAME_A and REF_FRAME_B"
+    return Aem(version, first, (AemSegment(begin, t, q, w, said, (comment,)),))
+
+
+def _keywords(name: str, given: Mapping[str, str] | None) -> Mapping[str, str]:
+    found = {} if given is None else given
+    if not isinstance(found, Mapping):
+        raise TypeError(f"{name}: found {checks.brief(found)}; accepted: a mapping of str to str")
+    for key, value in found.items():
+        _one_line(f"{name} {_one_line(f'{name}: a keyword', key)}", value)
+    return found

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from decimal import Decimal, localcontext
 from typing import Any
@@ -23,6 +23,10 @@ _TAG = re.compile(
 _ACCEPTED = "YYYY-MM-DDThh:mm:ss.d or YYYY-DDDThh:mm:ss.d"
 _DAY = 86400
 _DIGITS = 60
+# s; longer than any run, and Unix time was past it in 1973
+_LONG = 1e8
+# before that day UTC had no leap seconds; local times of the Unix epoch are in 1969 or 1970
+_FIRST_LEAPS = "1972"
 # UTC days that ended with a leap second (IERS, Bulletin C)
 _JUNE = (1972, 1981, 1982, 1983, 1985, 1992, 1993, 1994, 1997, 2012, 2015)
 _DECEMBER = (*range(1972, 1980), 1987, 1989, 1990, 1995, 1998, 2005, 2008, 2016)
@@ -30,6 +34,11 @@ _LEAPS = sorted(
     [date(year, 6, 30).toordinal() for year in _JUNE]
     + [date(year, 12, 31).toordinal() for year in _DECEMBER]
 )
+
+
+def has_leaps(metadata: Mapping[str, str]) -> bool:
+    """Whether a block's time system has leap seconds."""
+    return metadata.get("TIME_SYSTEM", "").upper() == "UTC"
 
 
 def seconds_since(epoch: str, tags: Sequence[str], *, leaps: bool) -> NDArray[np.float64]:
@@ -51,7 +60,7 @@ def tags(epoch: str, t: NDArray[np.float64], *, leaps: bool) -> list[str]:
         begin = _count(epoch, leaps=leaps)
         try:
             return [_tag(begin + Decimal(repr(x)), leaps=leaps) for x in t.tolist()]
-        except (OverflowError, ValueError):
+        except (ArithmeticError, ValueError):
             raise ValueError(f"t: passes the years 1 to 9999 from {epoch}") from None
 
 
@@ -80,6 +89,28 @@ def tag_of(epoch: Any, system: str) -> str:
             )
         epoch = epoch.astimezone(UTC).replace(tzinfo=None)
     return str(epoch.isoformat())
+
+
+def of_run(epoch: Any, t: NDArray[np.float64], system: str) -> tuple[str, NDArray[np.float64]]:
+    """The time tag of a run's epoch, and the seconds since then, leap seconds counted.
+
+    Raises ``ValueError`` for Unix time in another system than UTC, and for times since an early
+    epoch that Unix time and elapsed seconds interpret differently.
+    """
+    if isinstance(epoch, str) and epoch == "unix":
+        if system.upper() != "UTC":
+            raise ValueError(
+                f'epoch: found "unix" with TIME_SYSTEM {system}; accepted: with UTC, or a time'
+            )
+        unix = tags("1970-01-01T00:00:00", t, leaps=False)
+        return unix[0], seconds_since(unix[0], unix, leaps=True)
+    tag = tag_of(epoch, system)
+    if tag < _FIRST_LEAPS and np.abs(t).max() > _LONG:
+        raise ValueError(
+            f"epoch: found {tag} with t up to {t[-1]:.10g} s, in which leap seconds count; "
+            'accepted: "unix" where t is Unix time, or a time near the run, t counted from it'
+        )
+    return tag, t
 
 
 def _leaps_before(day: int) -> int:

@@ -28,7 +28,7 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
     Parameters
     ----------
     angles : array_like of shape (..., 3)
-        Angles in the order of the sequence, rad.
+        Angles in the order of the sequence, rad, each up to 1e50 rad.
     sequence : str
         Three axes, as in SciPy's ``Rotation.from_euler``: lower case for rotations about fixed
         axes, such as "xyz", upper case for rotations about body axes, such as "ZYX". Neighbouring
@@ -42,7 +42,7 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        If the sequence or the shape is another one.
+        If the sequence or the shape is another one, or an angle is larger.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
     >>> fa.euler_to_quat(np.radians([90.0, 0.0, 0.0]), "ZYX").round(3)
     array([0.707, 0.   , 0.   , 0.707])
     """
-    found = arrays.floats("angles", angles, (3,))
+    found = arrays.angles_of("angles", angles, arrays.each_shorter)
     return arrays.on_rows(_to_quat(_known(sequence)), found, after=4)
 
 

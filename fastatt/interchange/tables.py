@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
+from fastatt.files import writing
 
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
@@ -71,12 +72,14 @@ def write_csv(run: Trajectory, path: str | Path) -> None:
     ------
     TypeError
         If ``run`` is not a run, or ``path`` is not a path.
+    ValueError
+        If the path is a directory.
     OSError
         If the file can't be written.
     """
     table = columns(run)
     saves = max(1, _ROWS // run.status.size)
-    with checks.path("path", path).open("w", encoding="utf-8", newline="") as file:
+    with writing("path", path, text="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(table)
         for a in range(0, len(run.t), saves):

@@ -6,7 +6,7 @@ Astronautical Sciences* 44 (1996) 1.
 """
 
 from fastatt._jit import kernel
-from fastatt.kernels.vec3 import axpy, cross, dot, scale
+from fastatt.kernels.vec3 import axpy, cross, dot, largest, scale
 
 
 @kernel
@@ -16,7 +16,7 @@ def to_quat(x):
     Parameters
     ----------
     x : tuple of 3 float
-        σ, with ``|σ|`` up to 1e150 (float32: 1e18).
+        σ, of any finite length.
 
     Returns
     -------
@@ -24,9 +24,15 @@ def to_quat(x):
         Unit quaternion.
     """
     F = type(x[0])
+    # relative to the largest of 1 and the components, whose squares may overflow
+    m = largest(x)
+    i = F(1.0) / (m if m > F(1.0) else F(1.0))
+    x = scale(i, x)
     z = dot(x, x)
-    s = F(1.0) / (F(1.0) + z)
-    return s * (F(1.0) - z), F(2.0) * s * x[0], F(2.0) * s * x[1], F(2.0) * s * x[2]
+    a = i * i
+    s = F(1.0) / (a + z)
+    f = F(2.0) * s * i
+    return s * (a - z), f * x[0], f * x[1], f * x[2]
 
 
 @kernel

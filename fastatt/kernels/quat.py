@@ -218,7 +218,7 @@ def log(q):
     Returns
     -------
     tuple of 3 float
-        Rotation vector, rad, of length at most π.
+        Rotation vector, rad, of length at most π; NaN for q = 0.
 
     Notes
     -----
@@ -231,13 +231,13 @@ def log(q):
     az = abs(q[3])
     m = ax if ax > ay else ay
     m = az if az > m else m
-    m = m if m != F(0.0) else F(1.0)
-    x = q[1] / m
-    y = q[2] / m
-    z = q[3] / m
-    r = math.sqrt(x * x + y * y + z * z)
     # relative to the largest number, since m r of subnormal numbers would lose digits
     most = abs(q[0]) if abs(q[0]) > m else m
+    size = m if m != F(0.0) else F(1.0)
+    x = q[1] / size
+    y = q[2] / size
+    z = q[3] / size
+    r = math.sqrt(x * x + y * y + z * z)
     half = atan2(m / most * r, abs(q[0]) / most)
     f = F(2.0) * half / (r if r != F(0.0) else F(1.0))
     f = -f if q[0] < F(0.0) else f

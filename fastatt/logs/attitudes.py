@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
-import shutil
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import rounding
+from fastatt.files import writing
 from fastatt.gyro.integrate import integrate_rates
 from fastatt.logs.log import GyroLog
 from fastatt.logs.names import GyroLogError
@@ -44,68 +40,22 @@ def attitude_rows(log: GyroLog, q0: ArrayLike, method: str, *, pieces: bool = Fa
     return rows
 
 
-def attitude_file(path: Path) -> Callable[[Rows], None]:
-    """A function that writes rows to a file, completely or not at all.
-
-    ``.npy`` is an array, ``.csv`` has a line of names, ``.zarr`` is a Zarr array.
-
-    Raises ``GyroLogError`` for another ending, and for a directory that is not such an array.
-    """
-    kinds = {".npy": _npy, ".csv": _csv, ".zarr": _zarr}
-    if path.suffix not in kinds:
-        raise GyroLogError(
-            f"--out: found the ending {path.suffix!r}; accepted: .csv, .npy and .zarr"
-        )
-    if path.is_dir() and not _is_zarr_array(path):
-        raise GyroLogError(
-            f"--out: found the directory {path}; accepted: a file, or one array of Zarr, which is "
-            "replaced"
-        )
-    part = path.with_name(f"{path.name}.part")
-
-    def write(rows: Rows) -> None:
-        try:
-            kinds[path.suffix](part, rows)
-            if path.is_dir():
-                shutil.rmtree(path)
-            part.replace(path)
-        finally:
-            if part.is_dir():
-                shutil.rmtree(part)
-            part.unlink(missing_ok=True)
-
-    return write
+def check_ending(path: Path) -> None:
+    """Refuse the name of a file of another kind than ``.csv`` and ``.npy``."""
+    if path.suffix not in (".csv", ".npy"):
+        raise GyroLogError(f"--out: found the ending {path.suffix!r}; accepted: .csv and .npy")
 
 
-def _is_zarr_array(path: Path) -> bool:
-    """Whether a directory is a Zarr array, not a group of them."""
-    if path.suffix != ".zarr":
-        return False
-    with suppress(OSError, ValueError):
-        node = json.loads((path / "zarr.json").read_text("utf-8"))
-        return isinstance(node, dict) and node.get("node_type") == "array"
-    return (path / ".zarray").is_file()
-
-
-def _npy(path: Path, rows: Rows) -> None:
-    with path.open("wb") as file:
-        np.save(file, rows)
-
-
-def _csv(path: Path, rows: Rows) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_NAMES[: rows.shape[1]])
-        for k in range(0, len(rows), _CHUNK):
-            writer.writerows(rows[k : k + _CHUNK].tolist())
-
-
-def _zarr(path: Path, rows: Rows) -> None:
-    try:
-        import zarr
-    except ImportError:
-        raise ImportError(f"{path.stem}: needs zarr; pip install zarr") from None
-    shape = (_CHUNK, rows.shape[1])
-    array: Any = zarr.open(str(path), mode="w", shape=rows.shape, chunks=shape, dtype="f8")
-    array[:] = rows
-    array.attrs["columns"] = list(_NAMES[: rows.shape[1]])
+def write_attitudes(path: Path, rows: Rows) -> None:
+    """Write rows to a file, whole or not at all: an array, or text with a line of names."""
+    is_text = path.suffix == ".csv"
+    with writing("--out", path, text="utf-8" if is_text else None) as file:
+        if is_text:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(_NAMES[: rows.shape[1]])
+            for k in range(0, len(rows), _CHUNK):
+                writer.writerows(rows[k : k + _CHUNK].tolist())
+        else:  # by its buffer, since a pipe has no position
+            header = np.lib.format.header_data_from_array_1_0(rows)
+            np.lib.format.write_array_header_1_0(file, header)
+            file.write(np.ascontiguousarray(rows).data)

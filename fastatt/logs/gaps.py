@@ -2,13 +2,12 @@
 
 A stamp that does not increase, or jumps ahead, is an outlier if the rows after it continue from the
 row before it; otherwise the clock was reset, or there is a gap. Many equal stamps are those of
-packets, or too coarse for the rate: such rows are samples, and their times are spread evenly.
+packets, or too coarse for the rate: they are no times of samples, and are refused.
 """
 
 from __future__ import annotations
 
 import re
-from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -42,8 +41,7 @@ class Samples(NamedTuple):
     ``t`` has the times from the first sample, s, and ``rows`` the indices in the table. ``held``
     are samples that repeat the rates of the sample before; ``added`` are samples without a row,
     which hold the rates up to the end of a gap. ``cuts`` are the first samples of pieces,
-    ``events`` as in :class:`GyroLog`, ``said`` the parts of the summary, and ``spread`` says
-    whether rows with shared stamps were spread.
+    ``events`` as in :class:`GyroLog`, and ``said`` the parts of the summary.
     """
 
     t: Floats
@@ -53,7 +51,6 @@ class Samples(NamedTuple):
     cuts: list[int]
     events: list[Event]
     said: list[str]
-    spread: bool
 
     def of(self, values: Floats) -> Floats:
         """The values of the samples, the first three of which are rates."""
@@ -71,12 +68,14 @@ def in_order(
     rates: Floats,
     on_bad_rows: str,
     max_gap: float | None,
-    usual: float | None = None,
+    jumps: Flags,
+    usual: float | None,
 ) -> Samples:
     """The rows of a table that are samples; ``on_bad_rows`` as in :func:`read_gyro_log`.
 
     ``t`` (n,) is NaN without a time stamp, ``rates`` (n, 3) in rows without numbers. ``usual`` is
-    the usual interval; None takes the median.
+    the usual interval; None takes the median. ``jumps`` (n,) are rows before which packets are
+    missing.
     """
     stamped, numbers = np.isfinite(t), np.asarray(np.isfinite(rates).all(axis=1))
     usable = stamped & numbers
@@ -85,24 +84,16 @@ def in_order(
     rows = np.flatnonzero(usable)
     s = t[rows]
     shared = _shared(s, rates[rows])
-    if on_bad_rows == "refuse" and not usable.all():
-        where = f"{clock[:60]} in {table.place(int(np.argmin(usable)))}"
-        raise table.error(f"{where}, or a number beside it, overflows; accepted: finite numbers")
-    if on_bad_rows == "refuse" and shared.any():
+    if shared.any():
         raise table.error(
             f"{clock[:60]}: {shared.sum()} rows share the stamp of the row before, the first in "
             f"{table.place(int(np.argmax(shared)))}: packets, or stamps too coarse for the rate; "
-            "accepted: increasing time stamps, rate=, or another on_bad_rows, which spreads them"
+            "accepted: increasing time stamps, or rate= in their place"
         )
-    if shared.any():
-        s = _spread(s, np.flatnonzero(~shared))
     if usual is None:
-        steps = np.diff(s)
-        usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
+        usual = _usual(s)
     longest = _GAP * usual if max_gap is None else max_gap
     dropped, resets = _misplaced(s, usual, longest)
-    if on_bad_rows == "refuse":
-        _refuse_first(table, clock[:60], s, dropped, resets, longest)
     resets = [k - int(np.searchsorted(dropped, k)) for k in resets]
     s, rows = np.delete(s, dropped), np.delete(rows, dropped)
     if resets:  # the time that passed is unknown: one usual interval
@@ -110,23 +101,30 @@ def in_order(
         steps[np.array(resets) - 1] = usual
         s = np.append(0.0, np.cumsum(steps))
     s = s - s[:1]
-    gaps = np.flatnonzero(np.diff(s) > longest) + 1
+    gaps = np.flatnonzero((np.diff(s) > longest) | (np.diff(np.cumsum(jumps)[rows]) > 0)) + 1
     held = ~numbers[rows]
-    left = np.delete(np.arange(len(t)), rows)
     kinds = {
-        "rows dropped": left,
+        "rows dropped": np.delete(np.arange(len(t)), rows),
         "rows held": rows[held],
         "gaps": rows[gaps],
         "clock resets": rows[np.array(resets, dtype=int)],
     }
-    since = np.append(0.0, s)  # each event at the time of the last sample before it
-    events = {
-        what: [*map(Event, repeat(what), at.tolist(), since[np.searchsorted(rows, at)].tolist())]
-        for what, at in kinds.items()
-    }
+    since = np.append(0.0, s)[np.searchsorted(rows, np.arange(len(t)))]  # of the sample before
+    events = [Event(what, int(k), float(since[k])) for what, at in kinds.items() for k in at]
+    said = [
+        _said(table, [e for e in events if e.what == what]) for what in kinds if kinds[what].size
+    ]
     plain = np.zeros(len(rows), dtype=bool)
-    everything = sorted((e for some in events.values() for e in some), key=lambda e: e.row)
-    samples = Samples(s, rows, plain, plain, [], everything, [], bool(shared.any()))
+    events.sort(key=lambda event: event.row)
+    if on_bad_rows == "refuse" and events:
+        k = events[0].row
+        raise table.error(
+            f"{clock[:60]} in {table.place(k)}{_what(events[0], t[: k + 1], longest)}"
+            if usable[k]
+            else f"{clock[:60]} in {table.place(k)}, or a number beside it, overflows; accepted: "
+            "finite numbers"
+        )
+    samples = Samples(s, rows, plain, plain, [], events, said)
     if on_bad_rows == "split":
         left_out = np.flatnonzero(np.diff(rows) > 1) + 1
         # a repeated row takes the place of no sample
@@ -134,17 +132,20 @@ def in_order(
         missing = s[left_out] - s[left_out - 1] > _MISSING * usual
         missing |= empty[rows[left_out]] > empty[rows[left_out - 1]]
         samples.cuts.extend(sorted({*left_out[missing].tolist(), *gaps.tolist(), *resets}))
-    elif on_bad_rows == "hold":
-        samples = _held(samples, held, gaps, usual)
-    samples.said.extend(_said(table, what, some) for what, some in events.items() if some)
-    return samples
+    return _held(samples, held, gaps, usual) if on_bad_rows == "hold" else samples
 
 
-def _said(table: Table, what: str, events: list[Event]) -> str:
+def _said(table: Table, events: list[Event]) -> str:
     """The number of events of a kind, and where the first ones are."""
     some = [f"{table.place(e.row)} at {e.t:.6g} s" for e in events[:_SHOWN]]
-    kind = what if len(events) > 1 else re.sub(r"s\b", "", what)
+    kind = events[0].what if len(events) > 1 else re.sub(r"s\b", "", events[0].what)
     return f"{len(events)} {kind}: {', '.join([*some, '...'][: len(events)])}"
+
+
+def _usual(s: Floats) -> float:
+    """The median of the intervals above 0; infinite without one."""
+    steps = np.diff(s)
+    return float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
 
 
 def _shared(s: Floats, rates: Floats) -> Flags:
@@ -157,22 +158,6 @@ def _shared(s: Floats, rates: Floats) -> Flags:
     same[1:] = (rates[1:] == rates[:-1]).all(axis=1)
     repeated = same[equal].mean() > 0.5 and not same[~equal].mean() > 0.5
     return none if repeated else equal
-
-
-def _spread(s: Floats, firsts: NDArray[np.int64]) -> Floats:
-    """Times of rows in groups that share a stamp, which is that of the first row of the group."""
-    n = len(s)
-    steps = np.diff(s[firsts])
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    if usual > 0.0:
-        slope, start = np.polyfit(firsts, s[firsts], 1)
-        line: Floats = start + slope * np.arange(n)
-        if np.abs(s - line).max() <= usual:  # one rate throughout
-            return line
-    steps = np.append(np.where((steps > 0.0) & (steps <= _GAP * usual), steps, usual), usual)
-    sizes = np.diff(firsts, append=n)
-    within = np.arange(n) - np.repeat(firsts, sizes)
-    return s + within * np.repeat(steps / sizes, sizes)
 
 
 def _misplaced(s: Floats, usual: float, longest: float) -> tuple[list[int], list[int]]:
@@ -227,25 +212,21 @@ def _before(s: Floats, i: int, dropped: set[int]) -> int | None:
     return earlier[-1] if earlier else None
 
 
-def _refuse_first(
-    table: Table, clock: str, s: Floats, dropped: list[int], resets: list[int], longest: float
-) -> None:
-    gaps = (np.flatnonzero(np.diff(s) > longest) + 1).tolist()
-    k = min([*dropped, *resets, *gaps], default=None)
-    if k is None:
-        return
-    where, step = f"{clock} in {table.place(k)}", float(s[k] - s[max(k - 1, 0)])
-    if k in gaps and k not in dropped:
-        raise table.error(
-            f"{where}: a gap of {step:.6g} s; accepted: at most {longest:.6g} s, or more with "
-            'max_gap=; on_bad_rows="drop", "split" or "hold" accepts any gap'
+def _what(event: Event, t: Floats, longest: float) -> str:
+    """What is wrong with the last of some times, of which the others are right."""
+    step, accepted = float(t[-1] - t[-2:][0]), 'on_bad_rows="drop", "split" or "hold"'
+    if event.what == "gaps":
+        of_packets = "" if step > longest else ", by the packet counter"
+        return (
+            f": a gap of {step:.6g} s{of_packets}; accepted: at most {longest:.6g} s, or more with "
+            f"max_gap=; {accepted} accepts any gap"
         )
-    what = "an outlier" if step > 0.0 or k == 0 else "decreasing" if step else "repeated"
-    if k in resets:
+    what = "an outlier" if step > 0.0 or len(t) == 1 else "decreasing" if step else "repeated"
+    if event.what == "clock resets":
         what = "decreasing, and the clock goes on from there"
-    raise table.error(
-        f"{where} is {what} ({s[k] - s[0]:.9g} s after the first); accepted: increasing time "
-        'stamps, rate= in their place, or on_bad_rows="drop", "split" or "hold"'
+    return (
+        f" is {what} ({t[-1] - t[0]:.9g} s after the first); accepted: increasing time stamps, "
+        f"rate= in their place, or {accepted}"
     )
 
 

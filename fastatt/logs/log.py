@@ -19,15 +19,14 @@ from fastatt.logs import names, stamps
 from fastatt.logs.gaps import ON_BAD_ROWS, REGULAR, Samples, in_order
 from fastatt.logs.names import UNITS, GyroLogError, GyroLogWarning
 from fastatt.logs.tables import Frame, Table, tabular
-from fastatt.logs.text import Text, opened, size_of
-from fastatt.threads import progress_bar
+from fastatt.logs.text import Text, opened
 
-# the range of most gyros (2000 deg/s), rad/s, and of any gyro, deg/s
-_MOST_RAD, _MOST_DEG = 35.0, 4500.0
 # largest bias, rad/s, and rotation about it, rad, of a body at rest
 _LARGEST_BIAS, _LARGEST_ROTATION = 0.2, 0.05
 _LEAST_RATE = 1e-290  # Hz, below which times overflow
-_OTHERS = {"accel": "accel_columns", "mag": "mag_columns", "quat": "attitude_columns"}
+_OF_LOG = "the unit of the log"
+_OTHERS = {"accel": "accelerometer", "mag": "magnetometer"}
+_WRAPS = 1 << 16
 _MANY = 0.01  # share of rows; leaving out more is warned of
 
 
@@ -46,12 +45,9 @@ class GyroLog:
     dt : ndarray of shape (n - 1,)
         Intervals, s.
     accel : ndarray of shape (n, 3), or None
-        Accelerometer, m/s² if its unit is known from names or from gravity at rest. NaN where the
-        log has no number.
+        Specific force, m/s². NaN where the log has no number.
     mag : ndarray of shape (n, 3), or None
-        Magnetometer, in the log's unit. NaN where the log has no number.
-    attitudes : ndarray of shape (n, 4), or None
-        Attitudes in the log, unchanged.
+        Magnetic field, in the log's unit. NaN where the log has no number.
     columns : tuple of str
         The gyro's columns.
     unit : str
@@ -68,8 +64,8 @@ class GyroLog:
         piece are ``dt[piece.start : piece.stop - 1]``.
     events : tuple of (str, int, float)
         Bad rows and gaps in the order of the log, each with its kind ("rows dropped", "rows held",
-        "gaps" or "clock resets"), the index of its row in the table, from 0, and the time of the
-        last sample before that row, s. The row of a gap is the first one after the gap.
+        "gaps" or "clock resets"), the index of its row among those read, from 0, and the time of
+        the last sample before that row, s. The row of a gap is the first one after the gap.
     summary : str
         A line that describes what was recognised.
     """
@@ -82,13 +78,15 @@ class GyroLog:
     unit: str
     timing: str
     rate: float
-    attitudes: NDArray[np.float64] | None
     accel: NDArray[np.float64] | None = None
     mag: NDArray[np.float64] | None = None
     start: float = 0.0
     pieces: tuple[slice, ...] = ()
     events: tuple[tuple[str, int, float], ...] = ()
     summary: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.summary}"
 
 
 def read_gyro_log(
@@ -99,22 +97,24 @@ def read_gyro_log(
     unit: str | None = None,
     rate: float | None = None,
     time_column: str | None = None,
-    attitude_columns: Sequence[str] | None = None,
     accel_columns: Sequence[str] | None = None,
     mag_columns: Sequence[str] | None = None,
+    rows: tuple[str, object] | Sequence[tuple[str, object]] | None = None,
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
     bias_seconds: float | None = None,
-    progress: bool = False,
 ) -> GyroLog:
     """Read a gyro log.
 
     The columns of a text table are separated by commas, semicolons, tabs or blanks, and its numbers
     may have decimal commas (in quotes, if commas separate the columns). The table may be compressed
     with gzip. The names of the columns are in its first lines or in a comment, and a line of units
-    may follow. The function finds the columns of time, gyro, accelerometer, magnetometer and
-    attitude by the names that loggers write. If the columns are only named x, y and z, the name of
-    the file must show that they are those of a gyro.
+    may follow. Text tables need pandas, which ``pip install 'fastatt[logs]'`` installs.
+
+    Nothing is guessed. The columns are known by the names that loggers write. Units are those in
+    the names, or those that a format defines: PX4's ``gyro_rad``, ROS's ``angular_velocity`` with
+    its header stamps, ``rostopic``'s ``%time`` or PlotJuggler's ``__time``, and Sensor Logger's
+    ``Gyroscope.csv``. What neither says, the arguments have to say.
 
     Parameters
     ----------
@@ -122,39 +122,41 @@ def read_gyro_log(
         The name of a file, "-" for standard input, an open file, a pandas or polars data frame, an
         xarray data set, or a mapping of names to arrays.
     time_unit : str, optional
-        "s", "ms", "100us", "us" or "ns". The default is the unit in the name of the column, or else
-        one that fits the size of the stamps, with a warning. Dates (ISO 8601), times of day
-        (hh:mm:ss) and durations have no unit.
+        "s", "ms", "100us", "us" or "ns", if neither the name of the column nor a format has the
+        unit. Dates (ISO 8601), times of day (hh:mm:ss) and durations have none.
     columns : sequence of str or int, optional
         Names of the gyro's columns x, y and z, or their numbers from 1.
     unit : str, optional
         Unit of the rates: "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s",
-        "rev/s", "rpm" or "Hz" (revolutions per second). The default is the unit in the names of the
-        columns, or else one that fits the size of the rates, with a warning.
+        "rev/s", "rpm" or "Hz" (revolutions per second), if neither the names of the columns nor a
+        format have the unit.
     rate : float, optional
-        Sample rate, Hz, in place of time stamps.
+        Sample rate, Hz, in place of time stamps. Where a column PacketCounter jumps, samples are
+        missing.
     time_column : str or int, optional
         Name or number of the column of time stamps.
-    attitude_columns : sequence of str or int, optional
-        Names or numbers of an attitude's columns w, x, y and z.
     accel_columns, mag_columns : sequence of str or int, optional
-        Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer.
+        Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer. By
+        default they are read if their names say that they are specific force or magnetic field, and
+        their unit. An accelerometer that is named here without a unit is left in the log's unit.
+    rows : (str, str), or sequence of these, optional
+        A column and the text that a row has there, such as ``("name", "IMU")``, to read only such
+        rows of a table with several kinds of rows or several sensors. By default such a table is
+        refused; () reads all rows.
     on_bad_rows : {"refuse", "drop", "split", "hold"}, default "refuse"
         Treatment of bad rows, which have no rate, no time stamp or a stamp that does not increase,
         and of gaps. "refuse" raises an error. "drop" leaves bad rows out, so that the next interval
         is longer, and keeps a gap as one long interval. "split" leaves bad rows out too, and starts
         a new piece (``log.pieces``) where samples are missing. "hold" gives a row without a rate
         those of the row before, leaves out rows with a bad time stamp, and inserts a sample with
-        the last rates before the end of a gap. Except with "refuse", many rows that share time
-        stamps are spread evenly in time.
+        the last rates before the end of a gap. Stamps that many rows share, as in packets, are
+        always refused: pass ``rate`` in their place.
     max_gap : float, optional
         Longest interval that is not a gap, s; the default is 10 times the median interval, or
         10/``rate``.
     bias_seconds : float, optional
         Duration, s, from the first sample, during which the sensor is at rest. The mean rate over
         it is subtracted as the bias.
-    progress : bool, default False
-        Show a progress bar of the bytes read, which needs tqdm.
 
     Returns
     -------
@@ -164,84 +166,90 @@ def read_gyro_log(
     Raises
     ------
     GyroLogError
-        If there is more than one gyro or time column, the units or stamps fit no gyro, a row is bad
-        or the sensor moves during ``bias_seconds``. It is a ``ValueError``, whose message names
-        what was found, its line, and the argument that helps.
+        If a unit is unknown, or is no angle per time, there is more than one gyro or time column,
+        rows are of several kinds, the stamps fit no gyro, a row is bad or the sensor moves during
+        ``bias_seconds``. It is a ``ValueError``, whose message names what was found, its line, and
+        the argument that helps.
     TypeError
         If an argument has the wrong type.
+    ImportError
+        If a text table is read without pandas.
     OSError
         If the file can't be read.
 
     Warns
     -----
     GyroLogWarning
-        If a unit was inferred from the size of numbers, more than 1 % of the rows were left out, or
-        rows that share stamps were spread.
+        If more than 1 % of the rows were left out.
 
     Examples
     --------
     >>> import fastatt as fa
     >>> gyro = {f"gyro_{a} (rad/s)": [0.1, 0.1] for a in "xyz"}
-    >>> log = fa.read_gyro_log({"t": [0.0, 0.01], **gyro})
+    >>> log = fa.read_gyro_log({"t (s)": [0.0, 0.01], **gyro})
     >>> log.rates.shape, log.dt
     ((2, 3), array([0.01]))
     """
     _check_words(unit=unit, time_unit=time_unit, on_bad_rows=on_bad_rows)
     max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
-    with _table(source, progress) as table:
+    asked = {"accel": accel_columns, "mag": mag_columns}
+    with _table(source) as table:
         try:
-            given = {"accel": accel_columns, "mag": mag_columns, "quat": attitude_columns}
-            places = _columns(table, columns, given)
-            clock = [] if rate is not None else _clock(table, time_column)
-            axes = tuple(table.column(i) for i in places["gyro"])
-            unit = unit or names.rate_unit(axes)
+            gyro = _gyro(table, columns)
+            axes = tuple(table.column(i) for i in gyro)
+            defined = names.format_of(table.names, axes, table.name)
+            others, said = _others(table, asked, defined)
+            clock = [] if rate is not None else _clock(table, time_column, defined)
+            unit = unit or ("rad/s" if defined else names.rate_unit(axes))
+            chosen = _chosen(table, rows)
         except GyroLogError as error:
             raise table.error(error) from None
         hertz = math.nan if clock else _rate(table, rate)
-        wanted = [i for part in places.values() for i in part]
-        values, raw = table.read(wanted, clock, numbers=3, strict=on_bad_rows == "refuse")
-    if not len(values):
-        raise table.error("found no sample; accepted: one at least")
-    shown = unit or _assumed_unit(table, axes[0], values[:, :3])
+        counter = _counter(table, stamped=bool(clock))
+        parts = [gyro, others["accel"], others["mag"], counter]
+        wanted = [i for part in parts for i in part]
+        values, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
+    if unit is None:
+        raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(UNITS)}")
     with np.errstate(over="ignore"):
-        values[:, :3] *= UNITS[shown]
-    if raw is None:
-        t, start = np.arange(len(values)) / hertz, 0.0
-        timing, clock_name = f"{hertz:g} Hz", ""
-    else:
-        t, start = stamps.times(table, clock, raw, time_unit)
-        clock_name = " and ".join(table.column(i) for i in clock)
-        timing = f"time stamps in {clock_name}"
-    usual = None if clock else 1.0 / hertz
-    samples = in_order(table, clock_name, t, values[:, :3], on_bad_rows, max_gap, usual)
+        values[:, :3] *= UNITS[unit]
+    count, jumps = _counted(values[:, -1] if counter else None, len(values))
+    t, start = count / hertz, 0.0
+    if raw is not None:
+        t, start = stamps.times(table, clock, raw, time_unit, defined)
+    clock_name = " and ".join(table.column(i) for i in clock or counter)
+    timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
+    samples = in_order(
+        table, clock_name, t, values[:, :3], on_bad_rows, max_gap, jumps,
+        usual=None if clock else 1.0 / hertz,
+    )  # fmt: skip
     _check(table, samples, len(t), least=2 if clock else 1)
-    values = samples.of(values)
-    bias = np.zeros(3)
+    split = np.split(samples.of(values), np.cumsum([len(part) for part in parts[:-1]]), axis=1)
+    rates, accel, mag = (np.ascontiguousarray(x) for x in split[:3])
+    for sensor, numbers in (("accel", accel), ("mag", mag)):
+        if numbers.size:
+            name = table.column(others[sensor][0])
+            its_unit = names.unit_of_other(sensor, name, defined) or _OF_LOG
+            if sensor == "accel":
+                np.multiply(numbers, names.ACCEL_UNITS.get(its_unit, 1.0), out=numbers)
+            said.append(f"{_OTHERS[sensor]} in {its_unit}: {name} ...")
     if bias_seconds is not None:
-        bias = _bias(table, samples.t, values[:, :3], bias_seconds)
-    widths = [len(found) for found in places.values()]
-    parts = np.split(values, np.cumsum(widths[:-1]), axis=1)
-    rates, accel, mag, attitudes = (np.ascontiguousarray(x) if x.size else None for x in parts)
-    assert rates is not None
-    rates -= bias
+        bias = _bias(table, samples.t, rates, bias_seconds)
+        said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
+        rates -= bias
     dt = np.diff(samples.t)
     if not (clock or samples.said):
-        dt = np.full(len(dt), 1.0 / hertz)
+        dt[:] = 1.0 / hertz
     usual = float(np.median(dt)) if len(dt) else 1.0 / hertz
-    found_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * usual])) if len(dt) else hertz
-    said = [
-        f"{table.name}: {len(rates)} samples at {found_rate:.6g} Hz ({timing})",
-        f"{', '.join(axes)} in {shown}{'' if unit else ' (assumed)'}",
+    mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * usual])) if len(dt) else hertz
+    said[:0] = [
+        f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
+        f"{', '.join(axes)} in {unit}",
     ]
-    if columns is None and places["gyro"] in names.triples(table.names, "unnamed"):
-        said.append("a gyro's, as the file's name or its comments say")
-    said += _other_sensors(table, places, accel)
-    if bias_seconds is not None:
-        said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
     return GyroLog(
-        path=Path(table.name), columns=axes, unit=shown if unit else f"{shown} (assumed)",
-        timing=timing, rate=found_rate, t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]),
-        rates=rates, accel=accel, mag=mag, attitudes=attitudes,
+        path=Path(table.name), columns=axes, unit=unit, timing=timing, rate=mean_rate,
+        t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]), rates=rates,
+        accel=accel if accel.size else None, mag=mag if mag.size else None,
         pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
         events=tuple((*event,) for event in samples.events),
         summary="; ".join([*said, *samples.said]),
@@ -249,13 +257,13 @@ def read_gyro_log(
 
 
 @contextmanager
-def _table(source: Any, progress: bool) -> Iterator[Table]:
+def _table(source: Any) -> Iterator[Table]:
     """The table of a source, which can be read within the context."""
     if tabular(source):
         yield Frame(source)
         return
-    with opened(source) as (name, stream), progress_bar(progress, size_of(source), "B") as done:
-        yield Text(name, stream, done)
+    with opened(source) as (name, stream):
+        yield Text(name, stream)
 
 
 def _check_words(**given: str | None) -> None:
@@ -271,40 +279,85 @@ def _span(name: str, seconds: float | None) -> float | None:
     return checks.above_zero(name, seconds, "a number above 0, s", finite=False)
 
 
-def _columns(
-    table: Table, columns: Sequence[str] | None, given: Mapping[str, Sequence[str] | None]
-) -> dict[str, list[int]]:
-    """Indices of columns, as given or recognised by their names; [] for none."""
-    if columns is None:
-        gyro = names.gyro(table.names, table.about)
-    else:
-        gyro = table.chosen(columns, 3, "columns")
+def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
+    """The gyro's columns, as given or recognised by their names."""
+    if columns is not None:
+        return table.chosen(columns, 3, "columns")
+    gyro = names.gyro(table.names, table.name)
     if gyro is None:
         raise GyroLogError(
             f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
             "columns (names or numbers from 1)"
         )
-    accel, mag = (names.triples(table.names, sensor) for sensor in ("accel", "mag"))
-    found = {k: x[0] if len(x) == 1 else [] for k, x in (("accel", accel), ("mag", mag))}
-    found["quat"] = names.quaternion(table.names) or []
-    for sensor, argument in _OTHERS.items():
-        wanted = given[sensor]
-        if wanted is not None:
-            found[sensor] = table.chosen(wanted, 4 if sensor == "quat" else 3, argument)
-    return {"gyro": gyro, **found}
+    return gyro
 
 
-def _clock(table: Table, time_column: str | None) -> list[int]:
+def _others(
+    table: Table, asked: Mapping[str, Sequence[str] | None], defined: names.Format | None
+) -> tuple[dict[str, list[int]], list[str]]:
+    """Columns of the other sensors, [] for none; and what is said of those left out."""
+    found, said = {}, []
+    for sensor, word in _OTHERS.items():
+        columns = asked[sensor]
+        if columns is not None:
+            found[sensor] = table.chosen(columns, 3, f"{sensor}_columns")
+            continue
+        found[sensor], why = names.other_sensor(table.names, sensor, defined)
+        said += [f"no {word}: {why}"] if why else []
+    return found, said
+
+
+def _clock(table: Table, time_column: str | None, defined: names.Format | None) -> list[int]:
     """The columns of the time stamps; none if the file states its sample rate."""
     if time_column is not None:
-        return [table.index(time_column, "time column")]
-    clock = names.clock(table.names)
+        clock = [table.index(time_column, "time column")]
+    else:
+        clock = names.clock(table.names, defined)
+    if clock and table.rates and not table.first_row[clock[0]]:
+        clock = []  # an empty column
     if not clock and not table.rates:
         raise GyroLogError(
             f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
             "a time column"
         )
+    for i in clock:
+        stamps.kind(table.first_row[i])
     return clock
+
+
+def _chosen(table: Table, rows: Any) -> list[tuple[int, str]] | None:
+    """Columns by index, and the text that rows have there."""
+    if rows is None:
+        return None
+    pairs = [rows] if isinstance(rows, tuple) and rows[:1] and isinstance(rows[0], str) else rows
+    try:
+        return [(table.index(column, "rows"), str(text)) for column, text in pairs]
+    except (TypeError, ValueError) as error:
+        if isinstance(error, GyroLogError):
+            raise
+        accepted = 'a column and its text, as ("name", "IMU"), or a list of these'
+        raise TypeError(f"rows: found {checks.brief(rows)}; accepted: {accepted}") from None
+
+
+def _counter(table: Table, *, stamped: bool) -> list[int]:
+    """The column of a packet counter, [] for none; without time stamps any counter is one."""
+    words = ["packetcounter", "packet counter", "packet_counter", *["counter"] * (not stamped)]
+    return [i for i, name in enumerate(table.names) if name.lower() in words][:1]
+
+
+def _counted(
+    counter: NDArray[np.float64] | None, n: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The number of each of n rows, and whether a packet counter jumps there."""
+    jumps = np.zeros(n, dtype=bool)
+    if counter is None or n < 2 or not np.isfinite(counter).all():
+        return np.arange(n, dtype=np.float64), jumps
+    steps = np.diff(counter)
+    usual = max(float(np.median(steps % _WRAPS)), 1.0)
+    # half the range back is a reset
+    steps = np.where(steps % _WRAPS < _WRAPS // 2, steps % _WRAPS, steps)
+    jumps[1:] = steps > usual
+    return np.append(0.0, np.cumsum(steps / usual)), jumps
 
 
 def _rate(table: Table, rate: float | None) -> float:
@@ -326,16 +379,18 @@ def _rate(table: Table, rate: float | None) -> float:
 
 
 def _check(table: Table, samples: Samples, n: int, least: int) -> None:
-    """Refuse a log of too few samples; warn if many rows are left out or moved."""
+    """Refuse a log of too few samples; warn if many rows are left out."""
     kept = int((~samples.added).sum())
     if kept < least:
         found = f"{kept} of {n} rows that are samples"
         raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
     if n - kept > _MANY * n:
         counts = "; ".join(samples.said)
-        _warn(f"{table.name}: {n - kept} of {n} rows are left out ({counts})")
-    if samples.spread:
-        _warn(f"{table.name}: rows that share time stamps are spread evenly, unless rate says")
+        warnings.warn(
+            f"{table.name}: {n - kept} of {n} rows are left out ({counts})",
+            GyroLogWarning,
+            stacklevel=3,
+        )
 
 
 def _bias(
@@ -360,49 +415,6 @@ def _bias(
     return bias
 
 
-def _assumed_unit(table: Table, name: str, rates: NDArray[np.float64]) -> str:
-    """The unit that fits the largest of the rates, if the log states none."""
-    most = _largest(rates)
-    if most > _MOST_DEG:
-        raise table.error(
-            f"the rates have no unit and reach {most:.4g}; accepted: unit, rad/s or deg/s; the "
-            "counts of a sensor have to be scaled first"
-        )
-    unit = "rad/s" if most <= _MOST_RAD else "deg/s"
-    _warn(
-        f"{table.name}: {name[:60]} has no unit: taken as {unit} (at most {most:.3g}); unit says "
-        "another"
-    )
-    return unit
-
-
-def _other_sensors(table: Table, places: dict[str, list[int]], accel: Any) -> Iterator[str]:
-    """Scale the accelerometer to m/s²; yields descriptions of the other sensors."""
-    if places["accel"]:
-        name = table.column(places["accel"][0])
-        yield f"accelerometer in {_accel_in_si(name, accel)}: {name} ..."
-    if places["mag"]:
-        yield f"magnetometer: {table.column(places['mag'][0])} ..."
-
-
-def _accel_in_si(name: str, accel: NDArray[np.float64]) -> str:
-    """Scale an accelerometer to m/s², by its name or by gravity in g; returns its unit."""
-    scale = names.accel_unit(name)
-    size = np.sqrt((accel * accel).sum(axis=1))
-    size = size[np.isfinite(size)]
-    usual = float(np.median(size)) if size.size else math.nan
-    if scale is None and 0.8 < usual < 1.25:
-        scale = names.STANDARD_GRAVITY
-    if scale is None:
-        return "m/s²" if 0.8 < usual / names.STANDARD_GRAVITY < 1.25 else "a unit not known"
-    accel *= scale
-    return "m/s²" if scale == 1.0 else "g"
-
-
 def _largest(x: NDArray[np.float64]) -> float:
     """The largest finite absolute value, 0 if there is none."""
     return float(np.max(np.abs(x), initial=0.0, where=np.isfinite(x)))
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, GyroLogWarning, stacklevel=2)

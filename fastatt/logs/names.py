@@ -1,10 +1,12 @@
-"""The meaning of column names: the axes of the gyro, the time, and their units."""
+"""The meaning of column names: sensors, axes, time, units, and formats that define them."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 
 class GyroLogError(ValueError):
@@ -12,7 +14,7 @@ class GyroLogError(ValueError):
 
 
 class GyroLogWarning(UserWarning):
-    """Warns of a unit inferred from the size of numbers, or of many rows left out or moved."""
+    """Warns of many rows that were left out."""
 
 
 _DEGREE = math.pi / 180.0
@@ -23,53 +25,90 @@ UNITS = {
 }  # fmt: skip
 # number of each in a second; Xsens counts tenths of a millisecond
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "100us": 1e4, "us": 1e6, "ns": 1e9}
-STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
+# in m/s²; g by CGPM 1901
+ACCEL_UNITS = {
+    "m/s²": 1.0, "cm/s²": 1e-2, "mm/s²": 1e-3, "g": 9.80665, "mg": 9.80665e-3, "-g": -9.80665,
+}  # fmt: skip
+
+
+class Format(NamedTuple):
+    """A format that defines the unit of its gyro, rad/s, and those of its time stamps.
+
+    Names of columns are regular expressions. ``file`` is that of the file, and ``beside`` a column
+    that such a file has, where the names of the gyro's columns do not tell.
+    """
+
+    gyro: str
+    clocks: Mapping[str, str]  # the unit of each column of time stamps, the best one first
+    accel: str = "(?!)"
+    file: str = ".*"
+    beside: str = ""
+
+
+FORMATS = (
+    # PX4, sensor_combined: uORB's time stamps are microseconds
+    Format(gyro=r"gyro_rad\[[012]\]", clocks={"timestamp": "us"}),
+    # rostopic echo -p; sensor_msgs/Imu has rad/s and specific force (REP 103 and 145)
+    Format(
+        gyro=r"field\.angular_velocity\.[xyz]",
+        clocks={r"field\.header\.stamp": "ns", "%?time": "ns"},
+        accel=r"field\.linear_acceleration\.[xyz]",
+    ),
+    # the same messages by other tools, such as PlotJuggler
+    Format(
+        gyro=r"(.*[./])?angular_velocity[./][xyz]",
+        clocks={"__time": "s"},
+        accel=r"(.*[./])?linear_acceleration[./][xyz]",
+    ),
+    # Sensor Logger, a file for each sensor
+    Format(
+        gyro="[xyz]",
+        clocks={"seconds_elapsed": "s", "time": "ns"},
+        file=r"gyroscope\.csv(\.gz)?",
+        beside="seconds_elapsed",
+    ),
+)
 
 # names of three-axis sensors, without axis, blanks, dashes and underscores
 _SENSORS = {
-    "gyro": re.compile(
-        r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
-        r"|rateofturn"
-    ),
-    "accel": re.compile(r"(?!.*(ang|user|grav)).*acc.*|a|arss|alpha"),
-    "mag": re.compile(r".*mag(?!nitude).*|m"),
-    "unnamed": re.compile(r"|xyz"),
+    "gyro": r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
+    r"|rateofturn",
+    # specific force: without what leaves out gravity, or is gravity
+    "accel": r"(?!.*(free|user|lin|grav|ang|gyr|world|earth|global|accur))(.*acc.*|a|arss)",
+    "mag": r"(?!.*(geo|magnitude|rotation|vector))(.*mag.*|m)",
+    "like accel": r"(?!.*(ang|gyr)).*acc.*|a",
+    "like mag": r".*mag.*|m",
+    "unnamed": "",
 }
-_QUAT = re.compile(
-    r"(?P<stem>(.*[./])?((\w*quat\w*?|orientation|q|q_rs)[ _.\[(/-]*)?)(?P<axis>[wxyz])[\])]?"
-    r"|(?P<numbered>q|quat)[\[_]?(?P<number>[0-3])\]?",
-    re.IGNORECASE,
-)
-# columns of a gyro that are not rates
-_NOT_RATES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
+# columns of a sensor that are not its samples
+_NO_SAMPLES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
-    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|m[ _/p]*s).*$",
+    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|[cm]?m[ _/p]*s).*$",
     re.IGNORECASE,
 )
 _AXIS = re.compile(
     r"(?P<stem>.*?)[ _.\-/]*(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE | re.DOTALL
 )
-_ABOUT_RATES = re.compile(r"gyr|ang(ular)?[ _]?(vel|rate)|rotation[ _]?rate", re.IGNORECASE)
 _TIME = re.compile(
     r"(_*times?|timestamps?|ts?|stamps?|datetime|date|elapsed(time)?|seconds(?P<elapsed>elapsed)?"
     r"|timesincestart|unixtime(stamp)?|epoch|clock|\w*timestampunix|loggingtime|logtime"
     r"|sampletimefine)(in)?"
     r"(?P<unit>s|sec|secs|seconds?|ms|msec|milli(second)?s|us|µs|μs|usec|micro(second)?s"
-    r"|ns|nsec|nano(second)?s)?"
+    r"|ns|nsec|nano(second)?s|min)?"
 )
-_STAMP = re.compile(r"(.*[./])?header[./]stamp", re.IGNORECASE)
 # whole seconds of ROS, next to a column of nanoseconds
 _STAMP_SECONDS = re.compile(r"((?:.*[./])?stamp[./_])secs?", re.IGNORECASE)
-_UNIT = re.compile(
+_RATE = re.compile(
     r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms]"
     r"|(?<!\d)hz|arcsec(s|onds?)?|rev(s|olutions?)?)"
-    r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]*)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
-    r"(?![a-z])"
+    r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]+)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
+    r"(?P<power>\^?-?\d+|⁻?[¹²³])?(?![a-z])"
 )
 _SECOND = ("s", "sec", "secs", "second", "seconds")
-# ROS has rad/s (REP 103), Betaflight's flight recorder deg/s
-_BY_CONVENTION = {"rad/s": re.compile(r"angular_velocity[./]"), "deg/s": re.compile("gyroadc")}
+_METRES = re.compile(r"(?<![a-z])([cm]?)m[ _]*[/p.*·]?[ _]*s(ec)?[ _]*(\^?-?2|⁻?²|/s)(?![a-z\d])")
+_IN_G = re.compile(r"(?<=[\[( _])(m?)g[\])]?$")
+_FIELD = re.compile(r"[\[( _](?P<unit>[mnuµμ]?(t|teslas?|g|gauss))[\])]?$", re.IGNORECASE)
 
 
 def printable(name: object) -> str:
@@ -84,77 +123,98 @@ def listed(names: Iterable[str]) -> str:
 
 
 def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
-    """Columns x, y, z of every "gyro", "accel", "mag" or "unnamed" sensor."""
+    """Columns x, y, z of every sensor of a kind, such as "gyro"."""
     found: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
         text = bare(name)[0]
         match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
         if match is None:
             continue
-        stem = re.sub(r"[ _\-]", "", re.split(r"[./]", match["stem"])[-1]).lower()
-        if _SENSORS[sensor].fullmatch(stem) and not _NOT_RATES.search(stem):
+        stem = _UNIT_AT_END.sub("", re.split(r"[./]", match["stem"])[-1])
+        stem = re.sub(r"[ _\-]", "", stem).lower()
+        if re.fullmatch(_SENSORS[sensor], stem) and not _NO_SAMPLES.search(stem):
             axis = match["axis"].strip("[]()").lower()
             found.setdefault(match["stem"].lower(), []).append((axis, i))
     sets = [sorted(axes) for axes in found.values()]
     return [[i for _, i in axes] for axes in sets if "".join(a for a, _ in axes) in ("xyz", "012")]
 
 
-def gyro(names: Sequence[str], about: str) -> list[int] | None:
-    """The gyro's columns, None if there are none; ``about`` describes the contents of the table.
+def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | None:
+    """The format that defines columns of a gyro with these axes; None if none does."""
+    for known in FORMATS:
+        named = all(re.fullmatch(known.gyro, axis) for axis in axes)
+        if named and re.fullmatch(known.file, Path(file).name, re.IGNORECASE):
+            return known if known.beside in ("", *names) else None
+    return None
+
+
+def gyro(names: Sequence[str], file: str) -> list[int] | None:
+    """The gyro's columns, None if there are none.
 
     Raises ``GyroLogError`` for more than one gyro, and for axes of a sensor without a name.
     """
     found = triples(names, "gyro")
-    words = [bare(name)[0].lower() for name in names]
-    if not found and all(words.count(word) == 1 for word in "pqr"):
-        return [words.index(word) for word in "pqr"]
-    if not found and (unnamed := triples(names, "unnamed")):
-        if not _ABOUT_RATES.search(about):
-            axes = listed(names[i] for i in unnamed[0])
+    if not found and (found := triples(names, "unnamed")):
+        axes = [names[i] for i in found[0]]
+        if not format_of(names, axes, file):
             raise GyroLogError(
-                f"found no three columns named like gyro x, y, z: {axes} do not name their sensor; "
-                "accepted: the name that their logger gives a gyro's file (Gyroscope.csv of Sensor "
-                "Logger, *_vehicle_angular_velocity_0.csv of PX4), or columns, to say which"
+                f"found no three columns named like gyro x, y, z: {listed(axes)} do not name their "
+                "sensor; accepted: columns, to say which, or Sensor Logger's Gyroscope.csv, with "
+                "its name and its seconds_elapsed"
             )
-        found = unnamed
     if len(found) > 1:
         first = listed(names[i] for axes in found for i in axes)
         raise GyroLogError(f"found more than one gyro ({first}); say which with columns")
     return found[0] if found else None
 
 
-def quaternion(names: Sequence[str]) -> list[int] | None:
-    """Columns w, x, y, z of the only attitude; None if there is none."""
-    found: dict[str, list[tuple[str, int]]] = {}
-    for i, name in enumerate(names):
-        match = _QUAT.fullmatch(bare(name)[0])
-        if match and match["axis"]:
-            found.setdefault(match["stem"].lower(), []).append((match["axis"].lower(), i))
-        elif match:  # scalar first
-            found.setdefault("0", []).append(("wxyz"[int(match["number"])], i))
-    sets = [dict(axes) for axes in found.values() if "".join(sorted(dict(axes))) == "wxyz"]
-    only = len(sets) == 1 and sum(len(x) == 4 for x in found.values()) == 1
-    return [sets[0][axis] for axis in "wxyz"] if only else None
+def other_sensor(names: Sequence[str], sensor: str, known: Format | None) -> tuple[list[int], str]:
+    """Columns of the "accel" or "mag" whose names and unit say so; else [] and what was found."""
+    named = triples(names, sensor)
+    if known and sensor == "accel":
+        named += [x for x in triples(names, "like accel") if re.fullmatch(known.accel, names[x[0]])]
+    fit = [axes for axes in named if unit_of_other(sensor, names[axes[0]], known)]
+    if len(fit) == 1:
+        return fit[0], ""
+    found = fit or named or triples(names, f"like {sensor}")
+    why = "one of several" if fit else "without a unit" if named else "of another quantity"
+    return [], f"{names[found[0][0]][:60]} ... is {why}" if found else ""
 
 
-def clock(names: Sequence[str]) -> list[int]:
-    """The column of time stamps: a sensor's, else one with a unit, else any; [] if there is none.
+def unit_of_other(sensor: str, name: str, known: Format | None) -> str | None:
+    """The unit of a column of an "accel" or "mag", by its name or a format; None if there is none.
+
+    An accelerometer's is one of ``ACCEL_UNITS``.
+    """
+    text = name.lower()
+    if sensor == "mag":
+        return match["unit"] if (match := _FIELD.search(name)) else None
+    if match := _METRES.search(text):
+        return f"{match[1]}m/s²"
+    if match := _IN_G.search(text):
+        # iOS has the opposite sign (Core Motion, as SensorLog names it)
+        return "-g" if "accelerometeracceleration" in text else f"{match[1]}g"
+    return "m/s²" if known and re.fullmatch(known.accel, name) else None
+
+
+def clock(names: Sequence[str], known: Format | None) -> list[int]:
+    """The column of time stamps: a format's, else one with a unit, else any; [] if there is none.
 
     Columns of whole seconds and of nanoseconds are both returned.
 
     Raises ``GyroLogError`` for more than one.
     """
-    found: dict[int, list[int]] = {}
-    for i, name in enumerate(names):
-        if _STAMP.fullmatch(bare(name)[0]):
-            found.setdefault(0, []).append(i)
-        elif _time(name):
-            found.setdefault(1 if time_unit(name) else 2, []).append(i)
-    best = found[min(found)] if found else []
+    for pattern in known.clocks if known else ():
+        if defined := [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]:
+            return defined[:1]
+    if pair := _seconds_and_nanoseconds(names):
+        return pair
+    timed = [i for i, name in enumerate(names) if _time(name)]
+    best = [i for i in timed if time_unit(names[i], None)] or timed
     if len(best) > 1:
         two = listed(names[i] for i in best)
         raise GyroLogError(f"found more than one time column ({two}); say which with time_column")
-    return best or _seconds_and_nanoseconds(names)
+    return best
 
 
 def _seconds_and_nanoseconds(names: Sequence[str]) -> list[int]:
@@ -167,8 +227,11 @@ def _seconds_and_nanoseconds(names: Sequence[str]) -> list[int]:
     return min(pairs, key=lambda pair: "header" not in words[pair[0]], default=[])
 
 
-def time_unit(name: str) -> str | None:
-    """The unit in the name of a column of time stamps, known or not; None if there is none."""
+def time_unit(name: str, known: Format | None) -> str | None:
+    """The unit of a column of time stamps, by a format or its name; None if there is none."""
+    for pattern, unit in known.clocks.items() if known else ():
+        if re.fullmatch(pattern, name):
+            return unit
     match = _time(name)
     if match is None:
         return None
@@ -181,17 +244,15 @@ def time_unit(name: str) -> str | None:
 
 def rate_unit(names: Sequence[str]) -> str | None:
     """The unit, of ``UNITS``, in the names of a gyro's columns; None if there is none."""
-    found = {m[0]: _unit(m) for name in names for m in _UNIT.finditer(name.lower())}
-    found |= {u: "" for u in (bare(name)[1] for name in names) if not found and "/" in u}
+    found = {m[0]: _unit(m) for name in names for m in _RATE.finditer(name.lower())}
+    if not found:
+        found = {unit: "" for unit in (bare(name)[1] for name in names) if unit}
     units = set(found.values())
     if not units <= UNITS.keys() or len(units) > 1:
         raise GyroLogError(
             f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: one for "
             f"all of {', '.join(UNITS)}, or unit, to say which it is"
         )
-    for unit, pattern in _BY_CONVENTION.items():
-        if not units and all(pattern.search(name.lower()) for name in names):
-            return unit
     return units.pop() if units else None
 
 
@@ -199,26 +260,22 @@ def _unit(match: re.Match[str]) -> str:
     """A unit in the spelling of ``UNITS``, known or not."""
     scale, angle, per = match["scale"] or "", match["angle"], match["per"] or match["time"]
     scale = "m" if scale == "milli" else scale
-    if angle.startswith(("rp", "hz")):
-        return scale + angle.replace("hz", "Hz") + (f"/{per}" if per else "")
-    for short, others in (("deg", ("°", "dps")), ("rad", ()), ("arcsec", ()), ("rev", ())):
+    power = (match["power"] or "").removeprefix("^")
+    if power and (match["per"] or power not in ("-1", "⁻¹")):
+        return match[0]
+    if angle.startswith(("rp", "hz", "dps")):
+        angle = angle.replace("hz", "Hz").replace("dps", "deg/s")
+        return scale + angle + (f"/{per}" if per else "")
+    for short, others in (("deg", ("°",)), ("rad", ()), ("arcsec", ()), ("rev", ())):
         angle = short if angle.startswith((short, *others)) else angle
-    per = "s" if per is None or per in _SECOND else ("h" if per.startswith("h") else per)
-    return f"{scale}{angle}/{per}"
-
-
-def accel_unit(name: str) -> float | None:
-    """The unit in the name of an accelerometer's column, in m/s²; None if there is none."""
-    text = name.lower()
-    if re.search(r"m[ _]*[/p _.*·]?[ _]*s", text):
-        return 1.0
-    match = re.search(r"(?<=[\[( _])(m?)g[\])]?$", text)
-    return match and (STANDARD_GRAVITY * (1e-3 if match[1] else 1.0))
+    if per is None:
+        return angle
+    return f"{scale}{angle}/{'s' if per in _SECOND else 'h' if per.startswith('h') else per}"
 
 
 def is_unit(text: str) -> bool:
     """Whether a cell in a second line of names is a unit."""
-    return not text or _UNIT.fullmatch(text.lower()) is not None or len(text) <= 8
+    return not text or _RATE.fullmatch(text.lower()) is not None or len(text) <= 8
 
 
 def bare(name: str) -> tuple[str, str]:
@@ -231,6 +288,8 @@ def bare(name: str) -> tuple[str, str]:
 
 
 def _time(name: str) -> re.Match[str] | None:
-    word = re.split(r"[./]", bare(name)[0])[-1]
-    word = re.sub("[ _]s$", "seconds", word.lower())
+    word, unit = bare(name)
+    if word in ("T", "t") and not _TIME.fullmatch(f"t{unit.lower()}" if unit else word):
+        return None  # a temperature
+    word = re.sub("[ _]s$", "seconds", re.split(r"[./]", word)[-1].lower())
     return _TIME.fullmatch(re.sub(r"(?<=.)[ _\-]", "", word))

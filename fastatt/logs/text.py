@@ -1,18 +1,17 @@
-"""Text tables: their first lines, then their rows, by pyarrow if it is installed and can read them.
-
-Other files are read row by row. Both round to nearest and give the same bits.
-"""
+"""Text tables: their first lines, then their rows, which pandas parses."""
 
 from __future__ import annotations
 
+import csv
 import gzip
 import io
+import math
 import re
 import sys
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from itertools import chain, islice
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -39,19 +38,17 @@ _OTHER_RATE = re.compile(
 _COMMENTS = ("#", "//", "%")
 _COMMENT = re.compile(rb" *(#|//|%)[^\n]*")
 _QUOTED_COMMA = re.compile(rb'"\s*([+-]?\d*),(\d+(?:e[+-]?\d+)?)\s*"', re.IGNORECASE)
-_MEANT = {
-    "float": "a finite number", "int": "a whole number", "date": "a date", "day": "a time of day",
-}  # fmt: skip
 _BLANKS = re.compile(rb"[ \t]+")
 
 
 class Text(Table):
     """A text table, whose first lines are read when it is made."""
 
-    def __init__(self, name: str, stream: Any, progress: Callable[[int], object] | None) -> None:
-        self._blocks, self._progress = _whole_lines(stream), progress or (lambda n: None)
-        self._lines: list[Sequence[int]] = []  # line numbers of the rows
+    def __init__(self, name: str, stream: Any) -> None:
+        self._blocks = _whole_lines(stream)
         content = next(self._blocks, b"")
+        if content[:2] in (b"\xff\xfe", b"\xfe\xff") or content[:8].count(b"\0") > 2:
+            raise GyroLogError(f"{name}: found UTF-16 text; accepted: text in UTF-8")
         while content.count(b"\n") < _HEAD and (more := next(self._blocks, b"")):
             content += more
         head: list[tuple[int, str]] = []
@@ -78,57 +75,60 @@ class Text(Table):
             )
         self._first, self._first_line = content[start:], number
         self._n_used = _used(cells)
+        self._counts: dict[int, int] = {}  # of columns, in lines where it is another
         header = _header(name, head, comments, cells)
         super().__init__(
             name=name,
             names=header if _fits(header, cells) else [],
             n_columns=len(cells),
-            about=" ".join([Path(name).name, *comments]),
             rates=tuple(dict.fromkeys(rates)),
             n_names=len(header),
             first_row=cells,
+            row="line",
         )
 
-    def read(
-        self, wanted: list[int], clock: list[int], *, numbers: int, strict: bool
-    ) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
-        """Implements ``Table.read``."""
-        kinds: list[tuple[int, stamps.Kind]] = [(i, "float") for i in wanted]
-        kinds += [(i, self._kind(i, clock)) for i in clock]
-        needed = [*range(numbers), *range(len(wanted), len(kinds))] if strict else []
-        parts, line = [], self._first_line
+    def blocks(self) -> Iterator[tuple[NDArray[np.int64], Sequence[NDArray[Any]]]]:
+        """Implements ``Table.blocks``."""
+        try:
+            import pandas as pd
+        except ImportError:
+            raise ImportError(
+                "read_gyro_log: text tables need pandas; pip install 'fastatt[logs]'"
+            ) from None
+        first = self._first_line
         for block in chain([self._first], self._blocks):
-            content = self._clean(block)
-            end = line + content.count(b"\n")
-            lines: Sequence[int] = range(line, end + (not content.endswith(b"\n")))
-            columns = self._by_pyarrow(content, kinds)
-            if columns is None:
-                texts = content.decode("utf-8", "replace").split("\n")
-                lines = [k for k, text in enumerate(texts, line) if text.strip()]
-                rows = [self._row(texts[k - line]) for k in lines]
-                columns = [stamps.from_text(kind, [row[i] for row in rows]) for i, kind in kinds]
-            bad = [~stamps.known(columns[k]) for k in needed]
-            if np.any(bad):
-                row = int(np.argmax(np.logical_or.reduce(bad)))
-                i, kind = next(kinds[k] for k, x in zip(needed, bad, strict=True) if x[row])
-                text = content.split(b"\n")[lines[row] - line].decode("utf-8", "replace")
-                raise self._refusal(text, lines[row], i, kind)
-            self._lines.append(lines)
-            parts.append(columns)
-            line = end
-            self._progress(len(block))
-        self._first = b""
-        joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        values = np.stack(joined[: len(wanted)], axis=1)
-        values[~np.isfinite(values)] = np.nan
-        return values, stamps.joined(joined[len(wanted) :])
+            lines = enumerate(self._clean(block).split(b"\n"), first)
+            rows = {place: self._row(place, line) for place, line in lines if line.strip()}
+            first += block.count(b"\n")
+            content = io.BytesIO(b"\n".join(rows.values()))
+            if rows:
+                table = pd.read_csv(
+                    content, sep=self.delimiter, header=None, names=range(self.n_columns),
+                    dtype=object, quoting=csv.QUOTE_NONE, na_filter=False,
+                    encoding_errors="replace",
+                )  # fmt: skip
+                yield np.array([*rows]), [table[i].to_numpy() for i in table]
 
-    def place(self, row: int) -> str:
-        """The line of a row."""
-        return f"line {next(islice(chain.from_iterable(self._lines), row, None))}"
+    def _row(self, place: int, line: bytes) -> bytes:
+        """A line with all columns; without any cell if it has others."""
+        mark = self.delimiter.encode()
+        if line.count(mark) == self.n_columns - 1:
+            return line
+        cells = line.split(mark)
+        if _used([cell.strip() for cell in cells]) != self._n_used:
+            self._counts[place] = len(cells)
+            cells = []
+        cells = cells[: self.n_columns]
+        return mark.join(cells + [b""] * (self.n_columns - len(cells)))
 
-    def _kind(self, i: int, clock: list[int]) -> stamps.Kind:
-        return "int" if len(clock) > 1 else stamps.kind(self.first_row[i])
+    def _wrong(self, place: int, i: int, how: str, cell: object) -> str:
+        """Adds ``Table._wrong`` lines of too few or too many columns."""
+        if place not in self._counts:
+            return super()._wrong(place, i, how, cell)
+        return (
+            f"line {place}: found {self._counts[place]} columns; accepted: {self.n_columns}, as in "
+            f"line {self._first_line}"
+        )
 
     def _clean(self, content: bytes) -> bytes:
         """Lines without quotes and comments, with decimal points and one kind of separator."""
@@ -150,70 +150,13 @@ class Text(Table):
     def _cut(self, text: str) -> list[str]:
         return [cell.strip() for cell in text.lstrip("\ufeff").split(self.delimiter)]
 
-    def _row(self, text: str) -> list[str]:
-        """Cells of a line; empty ones if a column is missing or added."""
-        cells = self._cut(text)
-        if not self._complete(cells):
-            cells = []
-        return cells + [""] * (self.n_columns - len(cells))
-
-    def _complete(self, cells: list[str]) -> bool:
-        # empty cells at the end of a line may be missing
-        return len(cells) == self.n_columns or _used(cells) == self._n_used
-
-    def _refusal(self, text: str, line: int, i: int, kind: stamps.Kind) -> GyroLogError:
-        """The error for a line whose column i has no number or time stamp."""
-        cells = self._cut(text)
-        if not self._complete(cells):
-            return self.error(
-                f"line {line}: found {len(cells)} columns; accepted: {self.n_columns}, as in line "
-                f"{self._first_line}"
-            )
-        return self.error(
-            f"line {line}: {self.column(i)[:60]} is {self._row(text)[i][:60]!r}; accepted: "
-            f'{_MEANT[kind]}, or on_bad_rows="drop", "split" or "hold"'
-        )
-
-    def _by_pyarrow(
-        self, content: bytes, kinds: list[tuple[int, stamps.Kind]]
-    ) -> list[NDArray[Any]] | None:
-        """Columns; None if pyarrow is not installed or would skip or refuse a line."""
-        try:
-            import pyarrow as pa
-            from pyarrow import csv
-        except ImportError:
-            return None
-        numbers = {"float": pa.float64(), "int": pa.int64()}
-        types = {str(i): numbers.get(kind, pa.string()) for i, kind in kinds}
-        if len(types) < len(kinds):  # one column has both numbers and stamps
-            return None
-        if content.startswith(b"\n") or b"\n\n" in content:  # pyarrow skips blank lines
-            return None
-        try:
-            table = csv.read_csv(
-                pa.BufferReader(content),
-                csv.ReadOptions(column_names=[str(i) for i in range(self.n_columns)]),
-                csv.ParseOptions(delimiter=self.delimiter, quote_char=False),
-                csv.ConvertOptions(
-                    include_columns=list(types), column_types=types, null_values=[""]
-                ),
-            )
-        except pa.ArrowInvalid:
-            return None
-        columns = []
-        for column, (_, kind) in zip(table.columns, kinds, strict=True):
-            if kind == "int" and column.null_count:
-                return None
-            if kind in numbers:
-                columns.append(column.to_numpy())
-            else:
-                columns.append(stamps.from_text(kind, [x or "" for x in column.to_pylist()]))
-        return columns
-
 
 @contextmanager
 def opened(source: Any) -> Iterator[tuple[str, Any]]:
-    """A name and a stream of bytes for a path, "-" (standard input) or an open file; gzip too."""
+    """A name and a stream of bytes; from gzip too.
+
+    The source is a path, "-" for standard input, or an open file.
+    """
     with ExitStack() as stack:
         name = getattr(source, "name", "the file")
         if isinstance(source, str) and source == "-":
@@ -240,12 +183,6 @@ def opened(source: Any) -> Iterator[tuple[str, Any]]:
             ) from None
 
 
-def size_of(source: Any) -> int:
-    """Size of a file, bytes; 0 where it is unknown."""
-    by_name = isinstance(source, (str, PathLike)) and source != "-"
-    return Path(source).stat().st_size if by_name else 0
-
-
 def _whole_lines(stream: Any) -> Iterator[bytes]:
     """The bytes of a stream in blocks of whole lines, with one kind of line ends."""
     while data := stream.read(BYTES):
@@ -257,7 +194,7 @@ def _header(
     name: str, head: list[tuple[int, str]], comments: list[str], cells: list[str]
 ) -> list[str]:
     """Names of columns, from a line, with the units in a line below it, or from a comment."""
-    known = [c for c in comments if names.triples(_names(c), "gyro") or names.quaternion(_names(c))]
+    known = [c for c in comments if names.triples(_names(c), "gyro")]
     if not head:
         return _names(known[-1]) if known else []
     lines = [(number, text, _names(text)) for number, text in head]
@@ -283,7 +220,7 @@ def _numbers(cells: Iterable[str]) -> bool:
     """Whether a line consists of numbers, or has as many of them as a gyro has."""
     used = [cell for cell in cells if cell]
     words = sum(cell.lower() in ("nan", "-nan") for cell in used)
-    count = words + int((~np.isnan(stamps.from_text("float", used))).sum())
+    count = words + sum(not math.isnan(stamps.number(cell)) for cell in used)
     return count >= 3 or 0 < count == len(used)
 
 
@@ -314,6 +251,6 @@ def _names(text: str) -> list[str]:
     return [names.printable(part) for part in parts] if text else []
 
 
-def _used(cells: Sequence[str]) -> int:
+def _used(cells: Sequence[str] | Sequence[bytes]) -> int:
     """The number of columns before empty ones at the end."""
     return max((i for i, cell in enumerate(cells, start=1) if cell), default=0)

@@ -9,7 +9,6 @@ from fastatt.methods import (
     cf4,
     closed_form,
     coning2,
-    coning3,
     crouch_grossman,
     dmv,
     gauss12,
@@ -44,8 +43,6 @@ _ALL = (
     rk9.METHOD,
     gbs16.METHOD,
     strang.STRANG2,
-    strang.SUZUKI4,
-    strang.KAHAN_LI6,
     strang.KAHAN_LI8,
     *dmv.METHODS,
     closed_form.METHOD,
@@ -53,8 +50,6 @@ _ALL = (
     trapezoid.METHOD,
     previous.METHOD,
     coning2.METHOD,
-    coning3.POLYNOMIAL,
-    coning3.OPTIMAL,
     picard.METHOD,
 )
 METHODS: Mapping[str, Method] = MappingProxyType({m.name: m for m in _ALL})

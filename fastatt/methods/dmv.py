@@ -1,4 +1,4 @@
-"""DMV: the discrete Moser-Veselov step with modified inertia, of orders 2 to 10, for free bodies.
+"""DMV: the discrete Moser-Veselov step with modified inertia, of orders 2 and 10, for free bodies.
 
 The step is taken in u = h m/(2K) in place of m, with the modified moments K, which a free body
 conserves. It is implicit in c, the tangent of half the rotation angle: c1 = (1 + ``|c|²``) u1 +
@@ -24,7 +24,7 @@ _SIZES = (4, 6, 8, 10)
 
 
 def coefficients(level: int, inertia: Vector) -> Vector:
-    """All coefficients of a level, flat: 0, 4, 10, 18 or 28 numbers."""
+    """All coefficients of a level, flat: 0 or 28 numbers."""
     each = (mv.coefficients2, mv.coefficients4, mv.coefficients6, mv.coefficients8)
     return tuple(k for f in each[:level] for k in f(inertia))
 
@@ -140,4 +140,4 @@ def _method(level: int) -> Method:
     )
 
 
-METHODS = tuple(_method(level) for level in range(5))
+METHODS = tuple(_method(level) for level in (0, 4))

@@ -26,6 +26,7 @@ _WEIGHTS = [math.prod(n * n / (n * n - m * m) for m in COLUMNS if m != n) for n 
 
 def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     start = motion.base(x)
+    motion = motion.near(start)
     slopes = [motion.field(motion.at(t), start)]
     column = _angles if isinstance(motion, Body) else _state
     ends = []

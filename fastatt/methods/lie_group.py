@@ -170,7 +170,7 @@ def lie_group(
     found_limit = checks.above_zero("limit", limit, "above 0, rad")
     try:
         formula = traceable(exponents)
-        asked, found = _recorded(formula)
+        asked, found, within = _recorded(formula)
     except TraceError as error:
         raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
     return lie_method(
@@ -179,6 +179,7 @@ def lie_group(
         formula,
         rate_calls=asked,
         exponentials=found,
+        within=within,
         limit=found_limit,
         exact_for_constant=False,
         source="user-defined",
@@ -186,18 +187,17 @@ def lie_group(
     )
 
 
-def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
-    """How often exponents evaluate the rate, and how many exponents there are.
+def _recorded(formula: Callable[..., Any]) -> tuple[int, int, bool]:
+    """How often exponents evaluate the rate, how many there are, and whether within the step only.
 
     Raises ``ValueError`` if the function does not return a tuple of exponents, or if they do not
     add up to the rotation of a step at a constant rate, which order 1 requires.
     """
     graph = Graph()
-    asked = 0
+    asked: list[Any] = []
 
     def rate(at: Any) -> Vector:
-        nonlocal asked
-        asked += 1
+        asked.append(at)
         return graph.inputs("double", "w", 3)
 
     found = formula(rate, graph.input("double", "t"), graph.input("double", "h"))
@@ -212,9 +212,10 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
             "exponents: found a function that gives no tuple of exponents made from w(t); "
             "accepted: f(w, t, h) -> (u1, u2, …), each of three numbers"
         )
-    total = Flat(graph, plus(*map(tuple, found)), "double")
+    total = Flat(graph, (*plus(*map(tuple, found)), *asked), "double")
     values = {("w", 0): 0.3, ("w", 1): -0.5, ("w", 2): 0.7, ("t",): 0.4, ("h",): 1e-6}
     turned = function(total)(*(values[name] for name in total.inputs()))
+    turned, times = turned[:3], turned[3:]
     wanted = [values["h",] * values["w", k] for k in range(3)]
     if not all(abs(a - b) <= 1e-4 * values["h",] for a, b in zip(turned, wanted, strict=True)):
         rates = tuple(round(x / values["h",], 6) for x in turned)
@@ -222,7 +223,8 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int]:
             f"exponents: at the constant rate (0.3, -0.5, 0.7) they add up to h {rates}; accepted: "
             "h w"
         )
-    return asked, len(found)
+    shares = [(time - values["t",]) / values["h",] for time in times]
+    return len(asked), len(found), all(-1e-6 < share < 1.0 + 1e-6 for share in shares)
 
 
 def named(name: Any) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from fastatt.attitudes import ATTITUDES, QUATERNION, Attitude
+from fastatt.attitudes import ATTITUDES
 from fastatt.scene.torque_record import Dependence
 
 #: key of the limit for a rigid body
@@ -108,6 +108,9 @@ class Method:
     couples : bool
         Whether velocity, position and states can be stepped together with the attitude, as scenes
         with mass or states need.
+    within : bool
+        Whether a step evaluates rates, torques and forces between its ends only, as scenes with
+        breakpoints need.
 
     Examples
     --------
@@ -154,6 +157,8 @@ class Method:
     #: whether velocity, position and states can be stepped together with the attitude; the step of
     #: a body then serves rates with states too
     couples: bool = False
+    #: whether a step evaluates rates, torques and forces between its ends only
+    within: bool = True
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Pickle the library's methods by name, since they contain nested functions."""
@@ -169,11 +174,6 @@ class Method:
     def is_exact(self) -> bool:
         """Whether the method is a closed form, with one evaluation for each time."""
         return self.steps is None and self.window is None
-
-    @property
-    def reduces(self) -> bool:
-        """Whether ``reduce`` is accepted: the stepped variables are the state."""
-        return self.steps is not None and self.steps.stage is None
 
     @property
     def iterates(self) -> bool:
@@ -198,15 +198,15 @@ class Method:
     @property
     def representations(self) -> tuple[str, ...]:
         """Names of the library's representations that the method accepts."""
-        return tuple(name for name, attitude in ATTITUDES.items() if self.stores(attitude))
+        return tuple(name for name in ATTITUDES if self.stores(name))
 
-    def stores(self, representation: str | Attitude) -> bool:
+    def stores(self, representation: str) -> bool:
         """Whether the method accepts a representation.
 
         Parameters
         ----------
-        representation : str or Attitude
-            A name or a representation.
+        representation : str
+            Name of a representation.
 
         Returns
         -------
@@ -214,21 +214,18 @@ class Method:
             Whether the representation has the formulas that the method needs; methods for samples
             accept quaternions only.
         """
-        if isinstance(representation, str):
-            representation = ATTITUDES[representation]
         if self.window is not None:
-            return representation is QUATERNION
-        return all(getattr(representation, name) is not None for name in self.uses)
+            return representation == "quat"
+        attitude = ATTITUDES[representation]
+        return all(getattr(attitude, name) is not None for name in self.uses)
 
-    def limit(
-        self, representation: str | Attitude, *, body: bool = False, torqued: bool = False
-    ) -> float:
+    def limit(self, representation: str, *, body: bool = False, torqued: bool = False) -> float:
         """Largest ``|w| h`` of a step in a representation.
 
         Parameters
         ----------
-        representation : str or Attitude
-            A name or a representation.
+        representation : str
+            Name of a representation, or a key of ``limits``.
         body : bool, default False
             Whether the scene has inertia.
         torqued : bool, default False
@@ -237,12 +234,12 @@ class Method:
         Returns
         -------
         float
-            The limit, rad; the smallest of all limits for a representation without ``family``.
+            The limit, rad.
         """
         if torqued and TORQUED in self.limits:
             return self.limits[TORQUED]
-        key = representation if isinstance(representation, str) else representation.family
-        key = ATTITUDES[key].family if key in ATTITUDES else key
+        known = ATTITUDES.get(representation)
+        key = representation if known is None else known.family
         least = min((x for name, x in self.limits.items() if name != TORQUED), default=math.inf)
         own = self.limits.get(key, least)
         return min(own, self.limits.get(BODY, math.inf)) if body else own

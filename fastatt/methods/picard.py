@@ -150,6 +150,7 @@ METHOD = sampled_method(
         history=0,
         span=SPAN,
         iteration=Iteration(rates, increments, improve, read, PASSES),
+        uneven=2.0,
     ),
     name="picard",
     order=8,

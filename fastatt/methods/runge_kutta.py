@@ -215,7 +215,8 @@ def runge_kutta(
     order : int
         Declared order. Up to order 9 all order conditions are checked.
     c : sequence of float
-        Nodes, the first of which is 0.
+        Nodes, the first of which is 0. A method with nodes outside [0, 1] refuses scenes with
+        breakpoints or sampled controllers, where it would lose its order.
     a : sequence of sequence of float
         A row for each stage but the first, of one number, two, and so on.
     b : sequence of float
@@ -265,6 +266,7 @@ def runge_kutta(
         min(_of_cones(tableau, _QUATERNIONS), _trusted(tableau, 0.5)),
         min(_of_cones(tableau, _MATRICES), _trusted(tableau, 1.0)),
         damping_limit=_damping(tableau),
+        within=all(-_CLOSE <= c <= 1.0 + _CLOSE for c in tableau.c),
         summary="user-defined",
         source="user-defined",
     )

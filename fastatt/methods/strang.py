@@ -1,4 +1,4 @@
-"""Splitting methods: rotations about two principal axes, and compositions of higher order.
+"""Splitting methods: rotations about two principal axes, and a composition of order 8.
 
 With the Casimir ``|m|²``/(2 I2) removed, where I2 is the intermediate moment, the kinetic energy is
 that of two rotors, ½ m1² (1/I1 − 1/I2) + ½ m3² (1/I3 − 1/I2). Each rotates body and momentum about
@@ -158,7 +158,6 @@ def _method(
     )
 
 
-_SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 STRANG2 = _method(
     "strang2",
     2,
@@ -167,25 +166,8 @@ STRANG2 = _method(
     "two rotations per step; for large ensembles; exact for free symmetric bodies",
     "McLachlan, SIAM J. Sci. Comput. 16 (1995) 151; Touma and Wisdom, Astron. J. 107 (1994) 1189",
 )
-SUZUKI4 = _method(
-    "suzuki4",
-    4,
-    _centre((_SUZUKI, _SUZUKI)),
-    (0.4, 2.8, 10.0),
-    "five strang2 steps; order 4 at large steps",
-    "Suzuki, Phys. Lett. A 146 (1990) 319",
-)
-KAHAN_LI6 = _method(
-    "kahan_li6",
-    6,
-    _centre(
-        (0.39216144400731413928, 0.33259913678935943860, -0.70624617255763935981,
-         0.08221359629355080023)
-    ),
-    (0.5, 5.3, 7.0),
-    "nine strang2 steps; order 6, long runs without drift",
-    "Kahan and Li, Math. Comp. 66 (1997) 1089",
-)  # fmt: skip
+
+
 KAHAN_LI8 = _method(
     "kahan_li8",
     8,

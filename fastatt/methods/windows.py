@@ -74,8 +74,8 @@ class Window:
     ``rates(v, h)`` and ``increments(v, h)`` return rotation vectors (rad) from the window's start
     to the end of each interval, flat: v are its samples, flat (rad/s or rad), h its intervals (s),
     the oldest first. They are plain functions that are called with numbers, with traced ones and
-    from jitted code. A method that iterates has an ``iteration`` instead; one whose coefficients
-    hold for equal intervals only is ``even``.
+    from jitted code. A method that iterates has an ``iteration`` instead. ``uneven`` is the largest
+    ratio, to either side, of an interval to the usual one that its polynomial is used for.
 
     Raises ``ValueError`` for a shape that does not fit into the engine's chunks.
     """
@@ -85,7 +85,7 @@ class Window:
     rates: Callable[..., Any] | None = None
     increments: Callable[..., Any] | None = None
     iteration: Iteration | None = None
-    even: bool = False
+    uneven: float = 3.0
 
     def __post_init__(self) -> None:
         if self.span < 1 or CHUNK % self.span:

@@ -1,18 +1,12 @@
-"""Pictures with matplotlib, drawn to files without a display: of runs, and of studies."""
+"""Pictures of runs with matplotlib, drawn to files without a display."""
 
-from fastatt.plots.animated import animation
+try:
+    import matplotlib as mpl  # noqa: F401
+except ImportError:
+    raise ImportError(
+        "pictures: need matplotlib; install it with pip install 'fastatt[plot]'"
+    ) from None
+
 from fastatt.plots.runs import history, polhode
-from fastatt.plots.study import (
-    Departures,
-    MethodCurve,
-    Panel,
-    Polhode,
-    polhodes,
-    recordings,
-    work_precision,
-)
 
-__all__ = [
-    "Departures", "MethodCurve", "Panel", "Polhode", "animation",
-    "history", "polhode", "polhodes", "recordings", "work_precision",
-]  # fmt: skip
+__all__ = ["history", "polhode"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fastatt import checks
+from fastatt.files import target, writing
+from fastatt.methods import METHODS
 from fastatt.propagation.trajectory import Trajectory
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish
@@ -22,16 +25,25 @@ _MARKERS = ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">", "p", "h")
 
 
 def styles_of(names: Sequence[str], grey: Container[str] = ()) -> dict[str, dict[str, Any]]:
-    """Colour and marker of each name, each pair used once; those in ``grey`` are thin and grey."""
-    every = list(dict.fromkeys(names))
-    found = {}
-    for i, name in enumerate(name for name in every if name not in grey):
-        colour, marker = COLOURS[i % len(COLOURS)], _MARKERS[i % len(_MARKERS)]
-        found[name] = {"color": colour, "marker": marker, "ms": 5, "lw": 1.5}
-    for i, name in enumerate(name for name in every if name in grey):
-        found[name] = {"color": GREY, "marker": _MARKERS[i % len(_MARKERS)], "ms": 3.5, "lw": 0.9}
-        if i // len(_MARKERS) % 2:
-            found[name]["markerfacecolor"] = "white"
+    """Colour and marker of each name: those of a method are the same in all pictures.
+
+    Methods stand in the library's order, and other names after them; those in ``grey`` are thin
+    and grey.
+    """
+    single = " in float32"
+    others = [x.removesuffix(single) for x in names if x.removesuffix(single) not in METHODS]
+    numbers = {name: i for i, name in enumerate((*METHODS, *dict.fromkeys(others)))}
+    found: dict[str, dict[str, Any]] = {}
+    for name in sorted(dict.fromkeys(names), key=lambda x: numbers[x.removesuffix(single)]):
+        i = numbers[name.removesuffix(single)]
+        marker = _MARKERS[i % len(_MARKERS)]
+        if name in grey:
+            filled = {} if i // len(_MARKERS) % 2 else {"markerfacecolor": "white"}
+            found[name] = {"color": GREY, "marker": marker, "ms": 3.5, "lw": 0.9} | filled
+            continue
+        found[name] = {"color": COLOURS[i % len(COLOURS)], "marker": marker, "ms": 5, "lw": 1.5}
+        if name.endswith(single):
+            found[name] |= {"ls": "--", "markerfacecolor": "white"}
     return found
 
 
@@ -41,34 +53,27 @@ def tints_of(values: Sequence[float]) -> dict[float, Any]:
     return dict(zip(order, colormaps["viridis"](np.linspace(0.0, 0.9, len(order))), strict=True))
 
 
-def space_on(
-    axes: Any, elevation: float, azimuth: float, zoom: float, reach: float = 1.0
-) -> NDArray[np.float64]:
-    """Show space without its axes; returns the direction of view, from angles in deg."""
+def _sphere_on(axes: Any) -> NDArray[np.float64]:
+    """Draw a faint unit sphere; returns the direction of view."""
+    elevation, azimuth = 24.0, 35.0  # deg
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_proj_type("ortho")
-    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
-    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), zlim=(-reach, reach))
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.05)
+    axes.set(xlim=(-1.0, 1.0), ylim=(-1.0, 1.0), zlim=(-1.0, 1.0))
     axes.set_axis_off()
-    e, a = np.radians([elevation, azimuth])
-    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-
-
-def sphere_on(axes: Any, elevation: float, azimuth: float, zoom: float) -> NDArray[np.float64]:
-    """Draw a faint unit sphere; returns the direction of view."""
-    view = space_on(axes, elevation, azimuth, zoom)
     around = np.linspace(0.0, 2.0 * np.pi, 73)
     up = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 37)[:, None]
     x, y, z = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0.0 * around
     axes.plot_wireframe(x, y, z, rstride=3, cstride=6, color="0.6", lw=0.3)
-    return view
+    e, a = np.radians([elevation, azimuth])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
 
 
 def sphere_and_plane() -> tuple[Figure, Any, NDArray[np.float64], Any]:
     """A figure with the sphere of momenta, its direction of view, and a plane next to it."""
     figure = Figure(figsize=(13.0, 6.8), layout="constrained")
     sphere = figure.add_subplot(1, 2, 1, projection="3d")
-    view = sphere_on(sphere, elevation=24.0, azimuth=35.0, zoom=1.05)
+    view = _sphere_on(sphere)
     plane = figure.add_subplot(1, 2, 2)
     across = "angular velocity across the angular momentum, rad/s"
     plane.set(aspect="equal", xlabel=across, ylabel=across)
@@ -102,6 +107,12 @@ def check_run(run: object) -> None:
 
 
 def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure to a file."""
+    """Write a figure to a file, in the format of its ending; without one as PNG.
+
+    Raises ``ValueError`` for another ending.
+    """
     FigureCanvasAgg(figure)
-    figure.savefig(checks.path("path", path), dpi=110)
+    contents = BytesIO()
+    figure.savefig(contents, format=target("path", path).suffix[1:] or "png", dpi=110)
+    with writing("path", path) as file:
+        file.write(contents.getbuffer())

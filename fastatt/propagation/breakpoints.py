@@ -4,37 +4,17 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.engine.run import Parts
+from fastatt.engine.tape import Breaks
 from fastatt.scene.models import Model, Sampling
 from fastatt.scene.scene import Scene
 
 _EPS = float(np.finfo(np.float64).eps)
 # sample times of a run, and sample times since the start, which doubles tell apart
 _MOST, _FARTHEST = 10**8, 1e15
-
-
-class Breaks(NamedTuple):
-    """The breakpoints that a run crosses, in its order, and the time windows between them.
-
-    ``times`` are the times at which segments of the run begin, s, the first being that of the run;
-    ``since`` are these times counted from the start of the run, with ``slack`` for their rounding.
-    The rates, torques and forces of a segment are evaluated from ``low`` to ``high`` only, which
-    lie next to its two breakpoints. Breakpoints that are equal to rounding are one, and the window
-    lies outside of all of them.
-    ``sampled`` says which of them begin at a sample time, at which states jump.
-    """
-
-    times: NDArray[np.float64]
-    since: NDArray[np.float64]
-    slack: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    sampled: NDArray[np.bool_]
 
 
 def corners_of(scene: Scene) -> NDArray[np.float64]:
@@ -80,8 +60,9 @@ def breaks_of(
     """Select the sorted ``breakpoints`` inside a run of a ``duration``, s, of either sign.
 
     A breakpoint that coincides with the start or the end, to rounding, does not divide the run, but
-    limits the time window.
-    Times of ``sampling`` are breakpoints too, and the start may be one.
+    limits the time window. Breakpoints that are equal to rounding are one, and the window, whose
+    ends lie next to two of them, lies outside of all. Times of ``sampling`` are breakpoints
+    too, and the start may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
     apart = _apart(every)
@@ -141,71 +122,6 @@ def _with_samples(
     return every[order], lasts[order], order >= apart.sum()
 
 
-@lru_cache(maxsize=64)
-def parts_of(
-    breakpoints: tuple[float, ...],
-    begin: float,
-    h: float,
-    n_steps: int,
-    end: float | None,
-    sampling: Sampling | None = None,
-) -> Parts:
-    """The parts of those steps that breakpoints or the end of the run divide.
-
-    ``end`` is the time of the end since the start of the run, s, if it is not a whole step.
-    """
-    found = breaks_of(breakpoints, begin, n_steps * h if end is None else end, sampling)
-    clocks: list[tuple[float, ...]] = [(h, 0, begin, found.low[0], found.high[0], 0, 0, 0)]
-    steps = [-1]
-    # the step that is divided, if any, and the time that its parts reached; the next whole step
-    divided, reached, resumes = -1, 0.0, -1
-
-    # of the segments that begin at a sample time: whether no part begins there yet
-    jumps = found.sampled.copy()
-
-    def add(step: int, stretch: int, *clock: float) -> None:
-        window = found.low[stretch], found.high[stretch]
-        clocks.append((*clock[:3], *window, *clock[3:], jumps[stretch]))
-        steps.append(step)
-        jumps[stretch] = False
-
-    def whole_steps(step: int, stretch: int) -> None:
-        add(step, stretch, h, 0, begin, 0, 0)
-
-    def part(step: int, until: float, stretch: int, ends: bool) -> None:
-        add(step, stretch, until - reached, -step, begin + reached, 1, ends)
-
-    if jumps[0]:
-        whole_steps(0, 0)
-    for k in range(1, found.since.size):
-        since = float(found.since[k])
-        slack = float(found.slack[k])
-        n = math.floor((since + math.copysign(slack, h)) / h)
-        on_grid = abs(since - n * h) <= slack
-        if divided >= 0 and (n > divided or on_grid):
-            part(divided, (divided + 1) * h, k - 1, True)
-            resumes, divided = divided + 1, -1
-        if 0 <= resumes < n:
-            whole_steps(resumes, k - 1)
-        if on_grid:
-            whole_steps(n, k)
-            resumes = -1
-            continue
-        if divided < 0:
-            divided, reached, resumes = n, n * h, -1
-        part(n, since, k - 1, False)
-        reached = since
-    last = found.since.size - 1
-    if end is not None and divided < n_steps - 1:
-        if divided >= 0:
-            part(divided, (divided + 1) * h, last, True)
-            resumes = divided + 1
-        if 0 <= resumes < n_steps - 1:
-            whole_steps(resumes, last)
-        divided, reached, resumes = n_steps - 1, (n_steps - 1) * h, -1
-    if divided >= 0:
-        part(divided, (divided + 1) * h if end is None else end, last, True)
-        resumes = divided + 1
-    if 0 <= resumes < n_steps:
-        whole_steps(resumes, last)
-    return Parts(np.array(clocks, dtype=np.float64), np.array(steps, dtype=np.int64))
+def breaks_within(scene: Scene, begin: float, duration: float) -> Breaks:
+    """The times at which a run of a scene is divided."""
+    return breaks_of(corners_within(scene, begin, duration), begin, duration, scene.sampling)

@@ -2,41 +2,34 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
+from fastatt.closed_form import form_of
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.closed_forms import form_of
+from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.event import Event
 from fastatt.propagation.options import Choice
-from fastatt.propagation.reducer import Reducer
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.torque_record import Dependence
 
-if TYPE_CHECKING:
-    from fastatt.device.program import Device
-
-# the default is the first of these that fits the scene and the representation
-DEFAULTS = ("magnus4", "exact", "rk8", "rk4")
+# the default is the first of these that fits the scene and the representation: those first in most
+# cells at 1e-3 and 1e-6 rad of bench/LEADERBOARD.md (bench/choose.py)
+DEFAULTS = ("magnus6", "exact", "rk8", "rk4")
 # names of explicit Runge-Kutta methods in other libraries
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
 # steps between two projections of a compensated state
 _PROJECTED = 64
 
 
-def methods_for(
-    scene: Scene, representation: str | Attitude | None = None, *, need: str = ""
-) -> list[str]:
+def methods_for(scene: Scene, representation: str | None = None, *, need: str = "") -> list[str]:
     """Names of the methods that fit a scene and a representation.
 
     Parameters
     ----------
     scene : Scene
         The scene.
-    representation : str or Attitude, optional
-        A name in ``fastatt.attitudes.ATTITUDES`` or an :class:`Attitude`. The default lists methods
-        for any representation.
+    representation : str, optional
+        A representation, such as "quat" or "dcm". The default lists methods for any representation.
     need : str, optional
         Name of a property of :class:`Method` that must be true, such as "is_stepped".
 
@@ -62,7 +55,7 @@ def methods_for(
     properties = [name for name, found in vars(Method).items() if isinstance(found, property)]
     checks.choice("need", need, ["", *properties])
     if representation is not None:
-        representation = attitude_of(representation)
+        attitude_of(representation)
     return [
         m.name
         for m in METHODS.values()
@@ -70,8 +63,8 @@ def methods_for(
     ]
 
 
-def fits(method: Method, scene: Scene, representation: str | Attitude | None = None) -> bool:
-    """Whether a method fits a scene in a representation, which is a name or an ``Attitude``."""
+def fits(method: Method, scene: Scene, representation: str | None = None) -> bool:
+    """Whether a method fits a scene in a representation."""
     takes_kind = scene.kind in method.scenes or (scene.states > 0 and method.couples)
     return (
         takes_kind
@@ -92,39 +85,39 @@ def _takes(method: Method, scene: Scene) -> bool:
     return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
 
 
-def attitude_of(representation: str | Attitude) -> Attitude:
-    """The representation of a name; an ``Attitude`` is returned as it is."""
-    if isinstance(representation, Attitude):
-        return representation
+def attitude_of(representation: str) -> Attitude:
+    """The representation of a name."""
     return ATTITUDES[checks.choice("representation", representation, ATTITUDES)]
-
-
-def _name_of(representation: str | Attitude) -> str:
-    return representation if isinstance(representation, str) else representation.name
 
 
 def method_of(
     scene: Scene,
     method: str | Method | None,
-    representation: str | Attitude,
+    representation: str,
     *,
     need: str = "",
     why: str = "method",
 ) -> Method:
     """The method of a name, or a custom method, that fits a scene in a representation.
 
-    None gives the first of magnus4, exact, rk8 and rk4 that fits, or else the first of all methods.
+    None gives the first of magnus6, exact, rk8 and rk4 that fits, or else the first of all methods.
     ``need`` is that of ``methods_for``, and ``why`` the argument that the message names.
 
     Raises ``ValueError`` for a method that does not fit, with those that do, and if none fits.
     """
+    attitude_of(representation)  # raises for an unknown name
     if isinstance(method, Method):
         if not fits(method, scene, representation):
             able = ", ".join(methods_for(scene, representation, need=need))
             raise ValueError(
                 f"method: found {method.name}, for {', '.join(method.scenes)} in "
                 f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
-                f'"{_name_of(representation)}": {able}'
+                f'"{representation}": {able}'
+            )
+        if not method.within and (scene.sampling is not None or corners_of(scene).size):
+            raise ValueError(
+                f"method: found {method.name}, whose steps evaluate times outside of them, for a "
+                "scene with breakpoints or samples; accepted: nodes from 0 to 1"
             )
         found = method
     else:
@@ -134,7 +127,7 @@ def method_of(
     return found
 
 
-def _named(scene: Scene, method: str | None, representation: str | Attitude, need: str) -> str:
+def _named(scene: Scene, method: str | None, representation: str, need: str) -> str:
     """The given name if its method fits, or the name of the default method."""
     # users may pass anything, also what has no hash
     known = METHODS.get(method) if isinstance(method, str) else None
@@ -145,7 +138,7 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
     if method is not None:
         name, able = "method", methods_for(scene, need=need)
         if known is not None and known.name in able:
-            name = f'method for representation "{_name_of(representation)}"'
+            name = f'method for representation "{representation}"'
             able = methods_for(scene, representation, need=need)
         if known is None:
             elsewhere = str(method).casefold() in _ELSEWHERE
@@ -157,7 +150,7 @@ def _named(scene: Scene, method: str | None, representation: str | Attitude, nee
     fitting = methods_for(scene, representation, need=need)
     if not fitting:
         raise ValueError(
-            f"representation: found {_name_of(representation)}, for which no method takes this "
+            f"representation: found {representation}, for which no method takes this "
             f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
         )
     return next((name for name in DEFAULTS if name in fitting), fitting[0])
@@ -188,11 +181,9 @@ def _reason(method: Method, scene: Scene) -> str:
 def chosen(
     scene: Scene,
     method: str | Method | None,
-    representation: str | Attitude,
+    representation: str,
     compensated: bool = False,
     normalise: str | int = "output",
-    reducer: Reducer | None = None,
-    device: Device | None = None,
     events: tuple[Event, ...] = (),
 ) -> Choice:
     """How a scene is propagated, from the arguments of ``propagate``.
@@ -202,24 +193,18 @@ def chosen(
     compensated = checks.flag("compensated", compensated)
     key = ("choice", method, representation, compensated, normalise)
     of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
-    is_kept = of_names and reducer is None and device is None and not events
+    is_kept = of_names and not events
     # in one go: another thread may put it out
     known: Choice | None = scene.memo.get(key) if is_kept else None
     if known is not None:
         return known
-    if not (reducer is None or isinstance(reducer, Reducer)):
-        raise TypeError(f"reduce: found {checks.brief(reducer)}; accepted: a fastatt.reducer")
     attitude = attitude_of(representation)
     need, why = "", "method"
-    if device is not None:
-        need, why = "is_stepped", 'method with device "cuda"'
     if events:
         need, why = "is_stepped", "method with events"
-    if reducer is not None:
-        need, why = "reduces", "method with reduce"
     if compensated and method is None:
         need = "is_stepped"
-    record = method_of(scene, method, attitude, need=need, why=why)
+    record = method_of(scene, method, representation, need=need, why=why)
     projection = _projection(normalise)
     if compensated:
         if attitude is not QUATERNION:
@@ -230,7 +215,7 @@ def chosen(
             able = ", ".join(m.name for m in METHODS.values() if m.compensates)
             raise ValueError(f"compensated: found with method {record.name}; accepted with {able}")
         attitude, projection = COMPENSATED, _PROJECTED if normalise == "output" else projection
-    found = Choice(record, attitude, projection, normalise == "never", reducer, events, device)
+    found = Choice(record, attitude, projection, normalise == "never", events)
     if is_kept:
         scene.memo[key] = found
     return found

@@ -25,7 +25,7 @@ def propagate_directions(
     *,
     dt: float,
     n_steps: int,
-    method: str | Method | None = None,
+    method: str | Method = "magnus4",
     save_every: int | None = None,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
@@ -48,8 +48,8 @@ def propagate_directions(
         Step size, s; negative propagates backwards.
     n_steps : int
         Number of steps, at least 0.
-    method : str or Method, optional
-        The method, as in :func:`propagate`.
+    method : str or Method, default "magnus4"
+        A method for prescribed rates.
     save_every : int, optional
         Number of steps between saves, as in :func:`propagate`.
     dtype : {float64, float32}, optional

@@ -50,8 +50,8 @@ class Drift:
         rate scene.
     momentum : ndarray or None
         The length of the change of the angular momentum along inertial axes, wheels included, since
-        the first save, relative to the largest angular momentum of all saves. None under a torque,
-        and for a rate scene.
+        the first save, relative to the largest angular momentum of a part, body or wheel, of all
+        saves. None under a torque, and for a rate scene.
     momentum_along_field : ndarray or None
         The change of the component of the angular momentum along a uniform field, relative to the
         largest angular momentum of all saves: the vertical component for ``torques.HeavyTop``, and
@@ -102,7 +102,7 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     Parameters
     ----------
     run : Trajectory
-        A run with a history.
+        A run with two saves or more.
     scene : Scene
         The scene of the run.
 
@@ -115,6 +115,8 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     ------
     TypeError
         If the arguments are not a trajectory and a scene.
+    ValueError
+        If the run has one save only, from which nothing changes.
 
     Examples
     --------
@@ -134,13 +136,17 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     if not isinstance(run, Trajectory):
         raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
     as_scene(scene)
+    if len(run.t) < 2:
+        raise ValueError(
+            "run: has 1 save, to which nothing can be compared; accepted: two or more (save_every=)"
+        )
     norm_error = np.abs(run.norm_error[:, 0] if run.one_body else run.norm_error)
     C = run.dcm
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
     length = np.abs(np.linalg.norm(run.q, axis=-1) - 1.0)
     attitude = run.attitude
     of_matrix = attitude.to_dcm_array is not None
-    of_quaternion = not of_matrix and attitude.to_quat_array in (None, same)
+    of_quaternion = not of_matrix and attitude.to_quat_array is same
     measured = {
         "energy": _energy(run, scene),
         "momentum": _momentum(run, scene),
@@ -178,14 +184,18 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     if scene.inertia is None or not (torque is None or wheels or is_driven):
         return None
     inside = angular_momentum(trajectory.w, scene.inertia)
-    if isinstance(torque, ReactionWheels):
-        inside = inside + torque.momentum(trajectory.s)
-    elif wheels is not None:
-        inside = inside + _of_wheels(wheels(), trajectory)
-    total = quat_rotate(trajectory.q, inside)
     with np.errstate(over="ignore", invalid="ignore"):
-        change = np.linalg.norm(total - total[0], axis=-1)
-        return _relative(change, np.linalg.norm(total, axis=-1))
+        largest = np.linalg.norm(inside, axis=-1)
+        if isinstance(torque, ReactionWheels):
+            inside = inside + torque.momentum(trajectory.s)
+            own = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
+            largest = np.maximum(largest, own)
+        elif wheels is not None:
+            of_wheels = _of_wheels(wheels(), trajectory)
+            inside = inside + of_wheels
+            largest = np.maximum(largest, np.linalg.norm(of_wheels, axis=-1))
+        total = quat_rotate(trajectory.q, inside)
+        return _relative(np.linalg.norm(total - total[0], axis=-1), largest)
 
 
 def _along_field(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:

@@ -92,7 +92,9 @@ def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
     """
     m = angular_momentum(w, inertia)
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(0.5 * np.einsum("...i,...i->...", np.asarray(w, dtype=np.float64), m))
+        return np.asarray(
+            0.5 * np.einsum("...i,...i->...", np.asarray(w, np.float64, order="C"), m)
+        )
 
 
 def potential_energy(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.propagation.initial import INITIAL, initial
 from fastatt.scene.scene import Scene, as_scene
 

@@ -87,7 +87,8 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
         the scene's ``params``, which is empty if there are none. In a scene with states, ``g(t, q,
         w, s, p)`` takes all of them. If the position is propagated, ``g(t, q, w, v, r, p)`` and
         ``g(t, q, w, v, r, s, p)`` are accepted too, with the velocity along body axes, m/s, and the
-        position along inertial axes, m. The number of arguments, 4 to 7, tells the forms apart.
+        position along inertial axes, m. The number of arguments, 4 to 7, tells the forms apart. The
+        sign of the quaternion is continuous in the representation "quat" only.
     direction : {0, 1, -1}, default 0
         1 counts only crossings from negative to positive, in the order of the steps; -1 counts only
         those from positive to negative, and 0 counts both. A value of exactly zero at the start or

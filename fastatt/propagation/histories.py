@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.engine.run import Results
+from fastatt.files import writing
 from fastatt.propagation.trajectory import Trajectory
 
 # bytes below which the free memory is not checked
@@ -42,8 +44,7 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     Parameters
     ----------
     path : str or os.PathLike
-        ``*.npy``, which the trajectory then maps into memory, or ``*.zarr`` (needs zarr), in chunks
-        of 16 saves of at most 65536 bodies.
+        ``*.npy``, which the trajectory then maps into memory.
 
     Returns
     -------
@@ -63,9 +64,9 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     >>> fa.to_file("history.npy").path.name
     'history.npy'
     """
-    target = checks.path("path", path, "a path, *.npy or *.zarr")
-    if target.suffix not in (".npy", ".zarr"):
-        raise ValueError(f"path: found {checks.brief(target.name)}; accepted: *.npy or *.zarr")
+    target = checks.path("path", path, "a path, *.npy")
+    if target.suffix != ".npy":
+        raise ValueError(f"path: found {checks.brief(target.name)}; accepted: *.npy")
     return ToFile(target)
 
 
@@ -91,56 +92,38 @@ def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | 
 class History:
     """A file of (S, N, k) numbers: attitudes, then w, v, r and s if present, then norm errors.
 
-    ``*.npy`` is mapped into memory, as ``array``; ``*.zarr`` is a Zarr array in chunks of 16 saves
-    of at most 65536 bodies. With ``first`` saves already written the file is opened, else it is
-    created.
+    It is mapped into memory, as ``array``.
     """
 
-    def __init__(
-        self, target: Path, shape: tuple[int, int, int], kind: np.dtype[Any], first: int
-    ) -> None:
+    def __init__(self, target: Path, shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
         #: the number of saves in the file
-        self.saves = first
-        if not first:
-            _check_room(shape, kind, _free_on_disk(target), "disk")
+        self.saves = 0
+        _check_room(shape, kind, _free_on_disk(target), "disk")
         shape = (*shape[:2], shape[2] + 1)
-        opened = (_mapped if target.suffix == ".npy" else _zarr)(target, shape, kind, first > 0)
-        if opened.shape != shape or opened.dtype != kind:
+        if target.exists() and not target.is_file():
             raise ValueError(
-                f"on_save: {target} holds {opened.shape} of {opened.dtype}; accepted to go on: "
-                f"{shape} of {kind}"
+                f"on_save: found {target}, which cannot be mapped; accepted: a regular file, or a "
+                "new name"
             )
-        self._file = opened
-        self.array = opened if isinstance(opened, np.memmap) else None
+        # an array of the file before may still be mapped
+        with writing("on_save", target) as file:
+            empty = {
+                "descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape
+            }  # fmt: skip
+            np.lib.format.write_array_header_1_0(file, empty)
+            file.truncate(file.tell() + math.prod(shape) * kind.itemsize)
+        self.array = np.load(target, mmap_mode="r+")
 
     def __call__(self, piece: Trajectory) -> None:
         """Write a few saves."""
         rows = slice(self.saves, self.saves + piece.t.size)
         columns = [piece.state, *piece.carried.values(), piece.norm_error[..., None]]
-        self._file[rows] = np.concatenate(columns, axis=-1)
+        self.array[rows] = np.concatenate(columns, axis=-1)
         self.saves = rows.stop
 
     def results(self, saves: int, status: NDArray[np.uint8]) -> Results:
         """The first saves, if the file is mapped into memory."""
-        assert self.array is not None
-        return Results(self.array[:saves, :, :-1], self.array[:saves, :, -1], status)
-
-
-def _mapped(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
-    if goes_on:
-        return np.lib.format.open_memmap(path, mode="r+")
-    return np.lib.format.open_memmap(path, mode="w+", dtype=kind, shape=shape)
-
-
-def _zarr(path: Path, shape: tuple[int, ...], kind: Any, goes_on: bool) -> Any:
-    try:
-        import zarr
-    except ImportError:
-        raise ImportError("on_save: *.zarr needs zarr; pip install zarr") from None
-    if goes_on:
-        return zarr.open_array(str(path), mode="r+")
-    chunks = (min(16, shape[0]), min(65536, shape[1]), shape[2])
-    return zarr.open_array(str(path), mode="w", shape=shape, chunks=chunks, dtype=kind)
+        return Results(self.array[:saves], status, np.empty((status.size, 0)))
 
 
 def check_memory(shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from fastatt import checks
-from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import kind_of
-from fastatt.engine.job import Job
-from fastatt.engine.loop import WIDTH
+from fastatt.engine.job import WIDTH, Job
 from fastatt.methods import Method
-from fastatt.propagation.choice_of_method import attitude_of, chosen, method_of
-from fastatt.propagation.reducer import Reducer
+from fastatt.propagation.choice_of_method import chosen, method_of
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.tracing import source
 
@@ -26,6 +23,7 @@ _LEGEND = {
     "t": "time of the step, s",
     "h": "step, s",
     "k": "step of the other flow, s",
+    "angle2": "square of the largest rotation angle of a step, rad²",
 }
 
 
@@ -33,9 +31,8 @@ def inspect_step(
     scene: Scene,
     method: str | Method | None = None,
     *,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     dtype: DTypeLike = np.float64,
-    reduce: Reducer | None = None,
 ) -> str:
     """Show the loop that a run of a scene executes, as text with the number of its operations.
 
@@ -48,12 +45,10 @@ def inspect_step(
         The bodies with their rates, torques and forces.
     method : str or Method, optional
         The method, as in :func:`fastatt.propagate`.
-    representation : str or Attitude, default "quat"
+    representation : str, default "quat"
         The representation of the attitude.
     dtype : {float64, float32}, default float64
         Precision of the state.
-    reduce : Reducer, optional
-        A user-defined function after every step; its operations are then included.
 
     Returns
     -------
@@ -69,12 +64,12 @@ def inspect_step(
     --------
     >>> import fastatt as fa
     >>> print(fa.inspect_step(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "rk4").splitlines()[0])
-    # rk4, free, quat, double: 213 floating-point operations a step
+    # rk4, free, quat, double: 223 floating-point operations a step
     """
     as_scene(scene)
-    job = job_of(scene, method, representation, checks.precision(dtype), reduce)
+    job = job_of(scene, method, representation, checks.precision(dtype))
     formulas = job.formulas
-    flat = formulas.small_angle.plain
+    flat = formulas.small_angle
     text = source.GraphText(flat)
     constants = source.GraphText(formulas.constants)
     groups = dict.fromkeys(name[0] for f in (formulas.constants, flat) for name in f.inputs())
@@ -84,7 +79,7 @@ def inspect_step(
     once = [*constants.lines, *(f"c{i} = {x}" for i, x in enumerate(constants.results))]
     lines = [
         f"# {job.method.name}, {scene.kind}, {job.attitude.name}, {job.kind}: {counted}",
-        *(f"# {name}: {_LEGEND[name]}" for name in groups if name in _LEGEND),
+        *(f"# {name}: {_LEGEND[name]}" for name in (*groups, "angle2") if name in _LEGEND),
         *(f"for lane in range({WIDTH}):" for _ in once[:1]),
         *(f"    {line}" for line in once),
         "for n in range(first, last):",
@@ -92,19 +87,16 @@ def inspect_step(
         f"    for lane in range({WIDTH}):",
         *(f"        {line}" for line in text.lines),
     ]
-    names = [f"x{i}" for i in range(formulas.size)]
-    lines += [f"        {x} = {y}" for x, y in zip(names, text.results, strict=True)]
+    *state, angle2 = text.results
+    lines += [f"        x{i} = {y}" for i, y in enumerate(state)]
+    lines.append(f"        angle2 = max(angle2, {angle2})")
     return "\n".join(lines) + "\n"
 
 
-def job_of(
-    scene: Scene, method: Any, representation: Any, kind: Any, reduce: Reducer | None = None
-) -> Job:
+def job_of(scene: Scene, method: Any, representation: Any, kind: Any) -> Job:
     """The job of a scene, without its bodies."""
-    record = method_of(scene, method, attitude_of(representation), need="is_stepped")
-    choice = chosen(scene, record, representation, reducer=reduce)
+    record = method_of(scene, method, representation, need="is_stepped")
+    choice = chosen(scene, record, representation)
     packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
-    if reduce is not None:
-        packed = reduce.watching(packed, np.dtype(kind))
     shared = packed.params.ndim == 1
     return Job(choice.method, choice.attitude, packed.structure, kind_of(kind), shared=shared)

@@ -1,49 +1,77 @@
-"""Attitudes and angular velocities between the saves of a run."""
+"""Attitudes, angular velocities and what a run carries, between its saves."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
+from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import kind_of, rows
+from fastatt.propagation.trajectory import Trajectory
 from fastatt.tracing.formulas import dot, minus, plus, quat, scale, so3
 
 _NODES = 4
 # rows that are evaluated at a time
 _ROWS = 1 << 16
+# rounding of the ends of a run, as a share of its times
+_SLACK = 16.0 * float(np.finfo(np.float64).eps)
+# times of saves that do not exist: so far away that the other weights are those without them
+_NOWHERE = 1e60
 # rad; a larger difference of the interpolants through four saves and through two is warned of
 _DOUBT = 0.1
 
 
+@overload
+def interpolate(run: Trajectory, times: ArrayLike, /, *, invalid: str = "raise") -> Trajectory: ...
+
+
+@overload
+def interpolate(run: Trajectory, /, *, times: ArrayLike, invalid: str = "raise") -> Trajectory: ...
+
+
+@overload
 def interpolate(
     t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike, *, invalid: str = "raise"
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Interpolate attitudes and angular velocities between the saves of a run.
+) -> tuple[NDArray[Any], NDArray[Any]]: ...
+
+
+def interpolate(
+    t: Any, q: Any = None, w: Any = None, times: Any = None, *, invalid: str = "raise"
+) -> Trajectory | tuple[NDArray[Any], NDArray[Any]]:
+    """Interpolate a run between its saves: ``interpolate(run, times)``.
+
+    ``interpolate(t, q, w, times)`` interpolates attitudes and angular velocities from elsewhere.
 
     Parameters
     ----------
-    t : array_like of shape (S,)
-        Times of the saves, s, rising or falling; at least two.
+    t : Trajectory or array_like of shape (S,)
+        A run, followed by ``times`` alone; or the times of the saves, s, rising or falling; at
+        least two.
     q : array_like of shape (S, 4) or (S, N, 4)
         Attitudes at the saves, body to inertial, scalar first, of either sign.
     w : array_like of shape (S, 3) or (S, N, 3)
         Angular velocities at the saves along body axes, rad/s.
     times : float or array_like of shape (T,)
-        Times of the results, s, in any order and within ``t``.
+        Times of the results, s, in any order and within those of the saves.
     invalid : {"raise", "flag"}, default "raise"
-        "raise" refuses values that are not finite, zero quaternions, and bodies that rotate by more
-        than π between two saves. "flag" returns NaN where they enter, and does not affect other
-        bodies.
+        "raise" refuses values that are not finite, zero quaternions, bodies that rotate by more
+        than π between two saves, and bodies that a terminal event has stopped. "flag" returns NaN
+        where they enter, and does not affect other bodies.
 
     Returns
     -------
+    run : Trajectory
+        Of a run: the attitudes as quaternions, and the angular velocities, velocities, positions
+        and states that it has, at ``times``, of which a number is one save. ``norm_error`` is that
+        of the save before each time.
     q : ndarray of shape (T, 4) or (T, N, 4)
-        Unit quaternions, without the first axis if ``times`` is a number.
+        Of arrays: unit quaternions, without the first axis if ``times`` is a number.
     w : ndarray of shape (T, 3) or (T, N, 3)
-        Angular velocities along body axes, rad/s.
+        Of arrays: angular velocities along body axes, rad/s.
 
     Raises
     ------
@@ -56,8 +84,9 @@ def interpolate(
     Warns
     -----
     StepWarning
-        If the polynomials through four and through two saves differ by more than 0.1 rad, since the
-        motion then changes too fast between the saves.
+        If the polynomials through four and through two saves differ by more than 0.1 rad, or those
+        through eight and through four saves of a velocity, position or state by more than a tenth
+        of its range, since it then changes too fast between the saves.
 
     Notes
     -----
@@ -65,115 +94,108 @@ def interpolate(
     polynomial through the attitudes and the rates of the four saves around it. Its degree is 7, so
     that the error falls as the interval to the 8th power, and that of the rates as the 7th. Two
     saves give orders 4 and 3, three saves 6 and 5. At a save the result is the saved value, to
-    rounding. Interpolate the parts before and after a breakpoint separately, or save at the
-    required times (``save_at``).
+    rounding. A prescribed rate is evaluated at ``times``. Of saves that nearly coincide, those that
+    do not bound the interval are left out, since polynomials would magnify rounding and noise.
+
+    Velocities, positions and states are polynomials through the eight nearest saves, four on either
+    side where they exist, or through all saves if there are fewer, of order 8.
+
+    At a breakpoint a derivative jumps: interpolate the parts before and after it separately, or
+    save at the required times (``save_at``).
 
     References
     ----------
-    Error of Hermite's polynomial: Davis, *Interpolation and Approximation* (1975), theorem 3.5.1.
-    Polynomials in the logarithm: Park and Ravani, *ACM Transactions on Graphics* 16 (1997) 277.
+    Errors of the polynomials: Davis, *Interpolation and Approximation* (1975), theorems 3.1.1 and
+    3.5.1. Polynomials in the logarithm: Park and Ravani, *ACM Transactions on Graphics* 16 (1997)
+    277.
 
     Examples
     --------
     >>> import fastatt as fa
     >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=1.0, n_steps=8, save_every=1)
-    >>> q, w = fa.interpolate(run.t, run.q, run.w, 2.5)
-    >>> exact, _ = fa.closed_form.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], body.inertia, 2.5)
-    >>> bool(fa.angle_between(q, exact) < 1e-6)
+    >>> between = fa.interpolate(run, [2.5, 7.25])
+    >>> exact, _ = fa.closed_form.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], body.inertia, between.t)
+    >>> bool(fa.angle_between(between.q, exact).max() < 1e-6)
     True
+    >>> q, w = fa.interpolate(run.t, run.q, run.w, 2.5)
+    >>> q.shape, w.shape
+    ((4,), (3,))
     """
-    flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
+    flag = checks.flags_invalid(invalid)
+    if isinstance(t, Trajectory):
+        if w is not None or (q is not None and times is not None):
+            raise TypeError("q, w: found with a run; accepted: interpolate(run, times)")
+        return _run_between(t, q if times is None else times, flag=flag)
     when, asked = _checked_times(t, times)
-    count = when.size
-    attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
-    wanted = (*attitudes.shape[:-1], 3)
-    rates = checks.array("w", w, str(wanted), flag=flag)
-    shape = asked.shape
-    kind = np.result_type(attitudes, rates)
-    tails = attitudes.shape[1:-1]
-    attitudes = attitudes.reshape(count, -1, 4).astype(kind, copy=False)
-    rates = rates.reshape(count, -1, 3).astype(kind, copy=False)
-    found = _between(when, attitudes, rates, asked.ravel(), flag=flag)
-    q_out, w_out = (x.reshape(*shape, *tails, x.shape[-1]) for x in found)
+    found = _checked_between(when, q, w, asked.ravel(), flag=flag)
+    q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in found)
     return q_out, w_out
 
 
-def interpolate_states(t: ArrayLike, s: ArrayLike, times: ArrayLike) -> NDArray[Any]:
-    """Interpolate user-defined states, velocities or positions between the saves of a run.
+def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory:
+    """A run at times between its saves."""
+    when, asked = _checked_times(run.t, times)
+    asked = np.atleast_1d(asked)
+    stopped = _stopped(run)
+    if stopped.any() and not flag:
+        raise ValueError(
+            f"run: body {stopped.argmax()} was stopped by a terminal event "
+            f"({np.count_nonzero(stopped)} of {stopped.size} bodies); accepted: runs without; "
+            'invalid="flag" leaves them out'
+        )
+    many = (when.size, run.status.size)
+    found = _checked_between(
+        when, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, flag=flag
+    )
+    carried = {
+        name: _columns_between(name, when, values, asked)
+        for name, values in run.carried.items()
+        if name != "w"
+    }
+    # a prescribed rate is known at any time, unless the run was pickled
+    if run.packed is None or "w" in run.carried:
+        carried["w"] = found[1]
+    for values in (found[0], *carried.values()):
+        values[:, stopped] = np.nan
+    way = np.sign(when[1] - when[0])
+    before = np.searchsorted(way * when, way * asked, side="right") - 1
+    return replace(
+        run, t=asked, state=found[0], norm_error=run.norm_error[before], attitude=QUATERNION,
+        carried=carried, end=None,
+    )  # fmt: skip
 
-    Parameters
-    ----------
-    t : array_like of shape (S,)
-        Times of the saves, s, rising or falling; at least two.
-    s : array_like of shape (S, n) or (S, N, n)
-        Numbers at the saves: ``run.s``, ``run.v`` or ``run.r``. Numbers that are not finite give
-        NaN at the times that they are used for, in their own column alone.
-    times : float or array_like of shape (T,)
-        Times of the results, s, in any order and within ``t``.
 
-    Returns
-    -------
-    ndarray of shape (T, n) or (T, N, n)
-        The numbers at ``times``, without the first axis if ``times`` is a number.
+def _stopped(run: Trajectory) -> NDArray[np.bool_]:
+    """Bodies that a terminal event has stopped, (N,)."""
+    if run.found is None:
+        return np.zeros(run.status.size, dtype=bool)
+    return np.asarray(np.isfinite(run.found[:, list(run.terminal)]).any(axis=1))
 
-    Raises
-    ------
-    ValueError
-        If an argument does not fit.
-    TypeError
-        If an argument has the wrong type.
 
-    Warns
-    -----
-    StepWarning
-        If the polynomials through eight and through four saves differ by more than a tenth of the
-        range of a column, since it then changes too fast between the saves.
-
-    Notes
-    -----
-    The result is the polynomial through the eight nearest saves, four on either side where they
-    exist, or through all saves if there are fewer. Its error falls as the interval to the 8th
-    power. At a breakpoint a derivative jumps: interpolate the parts before and after it separately,
-    or save at the required times (``save_at``).
-
-    References
-    ----------
-    Error of the interpolating polynomial: Davis, *Interpolation and Approximation* (1975),
-    theorem 3.1.1.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import fastatt as fa
-    >>> t = np.linspace(0.0, 2.0, 21)
-    >>> s = np.stack([np.sin(t), np.cos(t)], axis=1)
-    >>> bool(np.abs(fa.interpolate_states(t, s, 0.33) - [np.sin(0.33), np.cos(0.33)]).max() < 1e-11)
-    True
-    """
-    when, asked = _checked_times(t, times)
-    count = when.size
-    values = checks.array("s", s, f"({count}, n) or ({count}, N, n)", flag=True)
-    columns = values.reshape(count, -1)
-    at = asked.ravel()
-    out = np.empty((at.size, columns.shape[1]), values.dtype)
+def _columns_between(
+    name: str, t: NDArray[np.float64], values: NDArray[Any], times: NDArray[np.float64]
+) -> NDArray[Any]:
+    """Numbers (S, N, n) of a run at times (T,), each column by itself."""
+    columns = values.reshape(t.size, -1)
+    out = np.empty((times.size, columns.shape[1]), values.dtype)
     apart = np.zeros(columns.shape[1])
     step = max(1, _ROWS // columns.shape[1])
-    for a in range(0, at.size, step):
+    for a in range(0, times.size, step):
         part = slice(a, a + step)
         with np.errstate(all="ignore"):
-            out[part] = _polynomial(when, columns, at[part], 2 * _NODES)
-            rough = _polynomial(when, columns, at[part], _NODES)
+            out[part] = _polynomial(t, columns, times[part], 2 * _NODES)
+            rough = _polynomial(t, columns, times[part], _NODES)
             apart = np.fmax(apart, np.abs(out[part] - rough).max(axis=0, initial=0.0))
     rounded = 1e3 * np.finfo(values.dtype).eps * np.abs(columns).max(axis=0)
     poor = np.flatnonzero(apart > 0.1 * np.ptp(columns, axis=0) + rounded)
     if poor.size:
         rounding.warn(
-            f"t: saves are too far apart for {poor.size} of {apart.size} columns of s, up to "
+            f"t: saves are too far apart for {poor.size} of {apart.size} columns of {name}, up to "
             f"{apart[poor].max():.2g} between the polynomials through eight and four of them: save "
             "more often"
         )
-    return out.reshape(*asked.shape, *values.shape[1:])
+    return out.reshape(times.size, *values.shape[1:])
 
 
 def _checked_times(t: ArrayLike, times: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -184,7 +206,8 @@ def _checked_times(t: ArrayLike, times: ArrayLike) -> tuple[NDArray[Any], NDArra
         raise ValueError(f"t: found {checks.brief(when)}; accepted: two or more, rising or falling")
     asked = checks.array("times", times, "a number or (T,)").astype(np.float64)
     low, high = sorted((when[0], when[-1]))
-    outside = np.flatnonzero((asked < low) | (asked > high))
+    slack = _SLACK * max(abs(low), abs(high))
+    outside = np.flatnonzero((asked < low - slack) | (asked > high + slack))
     if outside.size:
         raise ValueError(
             f"times[{outside[0]}] is {asked.ravel()[outside[0]]}; accepted: {low} to {high}, "
@@ -198,17 +221,60 @@ def _polynomial(
 ) -> NDArray[Any]:
     """The polynomial through the nearest saves, at most so many, at times within ``t``."""
     n = min(most, t.size)
-    way = np.sign(t[1] - t[0])
-    left = np.searchsorted(way * t, way * times, side="right") - 1
-    nodes = np.clip(left - (n - 1) // 2, 0, t.size - n)[:, None] + np.arange(n)
+    nodes, places, _, _ = _around(t, times, n)
     found = np.zeros((times.size, columns.shape[1]))
     for k in range(n):
-        others = np.delete(t[nodes], k, axis=1)
-        own = t[nodes[:, k]]
+        others, own = np.delete(places, k, axis=1), places[:, k]
         weight = ((times[:, None] - others) / (own[:, None] - others)).prod(axis=1)
         # a save that is not finite has no part in the saves themselves
         found += np.where(weight[:, None] == 0.0, 0.0, weight[:, None] * columns[nodes[:, k]])
     return found
+
+
+def _around(
+    t: NDArray[np.float64], times: NDArray[np.float64], n: int
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_], NDArray[np.intp]]:
+    """Indices and times (T, n) of saves around times, which of them exist, and those just before.
+
+    A polynomial through saves that nearly coincide magnifies noise and rounding. Each save outside
+    the interval is therefore at least half of the interval, and a tenth of its distance from the
+    interval, away from the one before. The index of a save that does not exist has no meaning.
+    """
+    way = np.sign(t[1] - t[0])
+    rising = way * t
+    left = np.clip(np.searchsorted(rising, way * times, side="right") - 1, 0, t.size - 2)
+    start, end = rising[left], rising[left + 1]
+    below, above = [left], [left + 1]
+    for _ in range(n - 2):
+        at = rising[np.maximum(below[-1], 0)]
+        next_ = at - np.maximum(0.5 * (end - start), 0.1 * (start - at))
+        below.append(np.minimum(np.searchsorted(rising, next_, side="right"), below[-1]) - 1)
+        at = rising[np.minimum(above[-1], t.size - 1)]
+        next_ = at + np.maximum(0.5 * (end - start), 0.1 * (at - end))
+        above.append(np.maximum(np.searchsorted(rising, next_), above[-1] + 1))
+    every = np.stack([*below[::-1], *above], axis=1)
+    exist = (every >= 0) & (every < t.size)
+    under, over = exist[:, : n - 2].sum(axis=1), exist[:, n:].sum(axis=1)
+    first = n - 2 - np.minimum(np.maximum((n - 1) // 2, n - 2 - over), under)
+    chosen = first[:, None] + np.arange(n)
+    exist = np.take_along_axis(exist, chosen, axis=1)
+    nodes = np.where(exist, np.take_along_axis(every, chosen, axis=1), left[:, None])
+    return nodes, np.where(exist, t[nodes], _NOWHERE * (1.0 + np.arange(n))), exist, left
+
+
+def _checked_between(
+    t: NDArray[np.float64], q: ArrayLike, w: ArrayLike, times: NDArray[np.float64], *, flag: bool
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitudes (T, 4) or (T, N, 4), and angular velocities in the same shape, at times (T,)."""
+    count = t.size
+    attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
+    bodies = attitudes.shape[1:-1]
+    rates = checks.array("w", w, str((count, *bodies, 3)), flag=flag)
+    kind = np.result_type(attitudes, rates)
+    attitudes = attitudes.reshape(count, -1, 4).astype(kind, copy=False)
+    rates = rates.reshape(count, -1, 3).astype(kind, copy=False)
+    q_out, w_out = _between(t, attitudes, rates, times, flag=flag)
+    return q_out.reshape(times.size, *bodies, 4), w_out.reshape(times.size, *bodies, 3)
 
 
 def _between(
@@ -221,21 +287,28 @@ def _between(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitudes (T, N, 4) and angular velocities (T, N, 3), from checked arguments."""
     count, bodies, kind = t.size, q.shape[1], q.dtype
-    way = np.sign(t[1] - t[0])
-    left = np.clip(np.searchsorted(way * t, way * times, side="right") - 1, 0, count - 2)
     many = min(_NODES, count)
-    first = np.clip(left - 1, 0, count - many)
-    far = _far(t, w, np.unique(first[:, None] + np.arange(many - 1)), flag=flag)
+    nodes, places, exist, left = _around(t, times, many)
+    far = _far(t, w, np.unique(nodes[:, :-1][exist[:, 1:]]), flag=flag)
     # the two ends of the interval come first
     own = left[:, None] + np.arange(2)
-    around = first[:, None] + np.arange(many)
-    other = around[(around != own[:, :1]) & (around != own[:, 1:])].reshape(times.size, many - 2)
-    nodes = np.concatenate([own, other], axis=1)
+    is_other = (nodes != own[:, :1]) & (nodes != own[:, 1:]) | ~exist
+    order = np.argsort(is_other, axis=1, kind="stable")
+    nodes = np.take_along_axis(nodes, order, axis=1)
+    places = np.take_along_axis(places, order, axis=1)
+    exist = np.take_along_axis(exist, order, axis=1)
     span = np.diff(t[own])
-    at = (t[nodes] - t[own[:, :1]]) / span
+    at = (places - t[own[:, :1]]) / span
     s = (times - t[own[:, 0]]) / span[:, 0]
     clock = np.concatenate(
-        [s[:, None], span, at[:, 2:], _weights(at[:, :2], s), _weights(at, s)], axis=1
+        [
+            s[:, None],
+            span,
+            np.where(exist, at, 0.0)[:, 2:],
+            _weights(at[:, :2], s),
+            _weights(at, s),
+        ],
+        axis=1,
     ).astype(kind)
     formula = rows(
         _through,

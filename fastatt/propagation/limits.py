@@ -10,29 +10,24 @@ from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
 from fastatt.attitudes import Attitude
+from fastatt.engine.status import Status
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.scene import torques
-from fastatt.scene.equations import PrescribedRate
-from fastatt.scene.models import Packed
-from fastatt.scene.rates import bound, lengths
 from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-# evaluations in a step beyond which monitoring the rotation angle takes almost no extra time
-_STAGES = 4
-
 
 def turn_limit(
-    scene: Scene, method: Method, representation: Attitude, dtype: DTypeLike = np.float64
+    scene: Scene, method: Method, attitude: Attitude, dtype: DTypeLike = np.float64
 ) -> float:
     """The largest ``|w| h`` of a step, rad; where one exponential is exact, that of rounding."""
     if scene.is_constant and method.exact_for_constant:
         return rounding.most_turned(dtype)
     kind = scene.kind
-    return method.limit(representation, body=kind != "rate", torqued=kind == "torqued")
+    return method.limit(attitude.family, body=kind != "rate", torqued=kind == "torqued")
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
@@ -52,6 +47,11 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray
         return np.asarray(np.maximum(lengths(_finite(w)) * abs(h), share * apart))
 
 
+def lengths(v: NDArray[Any]) -> NDArray[np.float64]:
+    """Lengths of rows (N, 3), by a matrix product, since NumPy reduces short rows slowly."""
+    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
+
+
 def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
     rates = np.atleast_2d(w).astype(np.float64, copy=False)
     if np.isfinite((rates @ np.ones(3)).sum()):  # a tenth of the time
@@ -67,35 +67,6 @@ def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
     if given.shape == (3,):  # a fifth of the time
         return np.asarray(np.sqrt(np.square(rates) @ np.square(given / least)))
     return np.asarray(lengths(angular_momentum(rates, given)) / least)
-
-
-def known_turns(scene: Scene, choice: Any, packed: Packed) -> NDArray[np.float64] | float | None:
-    """Bounds of each body's angular velocity, rad/s; None if they are not known before the run.
-
-    The bound of free bodies is given as 0, since it follows from their initial momentum. There is
-    no bound for coordinates with poles and for torques that depend on the position. A step with
-    many stages is monitored always, since leaving monitoring out saves too little.
-    """
-    method: Method = choice.method
-    if choice.attitude.has_poles or scene.needs_position:
-        return None
-    if method.rate_calls > _STAGES and not method.stages:
-        return None
-    turning = packed.structure.turning
-    if isinstance(turning, PrescribedRate):
-        with np.errstate(over="ignore", invalid="ignore"):
-            return bound(turning.law, packed.params[..., : turning.n_params])
-    return None if scene.kind == "torqued" else 0.0
-
-
-def quiet_up_to(scene: Scene, method: Method, limit: float) -> float:
-    """The largest known rotation angle of a step, rad, for which steps are not monitored."""
-    if scene.is_constant and method.exact_for_constant:
-        return 3.0  # of exponentials good up to π
-    if method.measure == "asymmetry":
-        return limit
-    # within π with all a method's brackets; DMV converges up to 0.5
-    return min(limit, 0.4 if method.measure == "momentum" else 1.0)
 
 
 def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
@@ -147,3 +118,16 @@ def warn(plan: Plan, angles: NDArray[Any]) -> bool:
     if text:
         rounding.warn(text)
     return bool(text)
+
+
+def warn_of_status(status: NDArray[np.uint8]) -> None:
+    """Warn, once, of the bodies with a flag, unless too large steps were warned of."""
+    flagged = np.flatnonzero(status)
+    if flagged.size and not (status & Status.STEP_TOO_LARGE).any():
+        counts = {flag.name: np.count_nonzero(status & flag) for flag in Status if flag}
+        found = ", ".join(f"{name} ({count})" for name, count in counts.items() if count)
+        rounding.warn(
+            f"status: found {found}, {flagged.size} of {status.size} bodies, the first of them "
+            f"body {flagged[0]}; their results are not to be trusted",
+            RuntimeWarning,
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -13,27 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
-from fastatt.engine.run import CALLING_LENGTH, Parts, PerBody, Span, StopSpan
-from fastatt.engine.stops import BREAK
+from fastatt.engine.tape import Breaks, Legs, legs_of, on_grid
 from fastatt.methods.method import Method
-from fastatt.propagation.breakpoints import Breaks, breaks_of, corners_within, parts_of
 from fastatt.propagation.event import Event
-from fastatt.propagation.reducer import Reducer
 from fastatt.propagation.trajectory import Trajectory
-from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from fastatt.device.program import Device
-    from fastatt.propagation.resume import End
+    from fastatt.propagation.end import End
 
 #: saves that are in memory at a time in a run without a history
 RING = 16
 _EPS = float(np.finfo(np.float64).eps)
-# steps of the body with most steps between two times at which all bodies are synchronised, and the
-# most such times if steps call a function, which may take any time
-_LEG, _MOST_LEGS = 4096, 1 << 16
 
 
 @dataclass(frozen=True)
@@ -48,10 +40,7 @@ class Choice:
     attitude: Attitude
     projection: int = 0
     raw: bool = False
-    reducer: Reducer | None = None
     events: tuple[Event, ...] = ()
-    #: the GPU that it runs on, if any
-    device: Device | None = None
 
 
 @dataclass(frozen=True)
@@ -66,8 +55,8 @@ class Clock:
     every: int | None
     done: int = 0
     ends: float | None = None
-    #: the order in which bodies are run; None for 0, 1, ...
-    order: ClassVar[NDArray[np.int64] | None] = None
+    #: whether bodies have step sizes of their own
+    is_per_body: ClassVar[bool] = False
 
     @classmethod
     def of(
@@ -133,26 +122,28 @@ class Clock:
         """The step size, s, or per-body step sizes (N,)."""
         return self.h
 
-    def parts(self, begin: float, scene: Scene) -> Parts:
-        """The steps that are divided, for the engine; step 0 begins at ``begin``."""
-        duration = self.end * self.h if self.ends is None else self.ends
-        corners = corners_within(scene, begin, duration)
-        return parts_of(corners, begin, self.h, self.end, self.ends, scene.sampling)
+    @property
+    def duration(self) -> float:
+        """The time from step 0 to the end of the run, s."""
+        return self.end * self.h if self.ends is None else self.ends
+
+    @cached_property
+    def slack(self) -> NDArray[np.float64]:
+        """The slack for the rounding of ``since``."""
+        return 16.0 * _EPS * np.abs(self.since)
+
+    def legs(self, h: float, breaks: Breaks) -> Legs:
+        """The legs of the steps from step 0 on, of bodies with the step size h, s."""
+        return legs_of(h, self.end, breaks, self.ends)
 
     def longest(self, begin: float) -> float:
         """The largest ``|t|`` of the run, s."""
         return max(abs(begin), abs(begin + self.end * self.h))
 
-    def span(self, projection: int) -> Span:
-        """All steps, for the engine."""
-        every = self.every or max(self.n_steps, 1)
-        slot = int(self.every is not None)
-        return Span(self.done, self.end, self.end, every, slot, projection, self.done)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PerBodyClock(Clock):
-    """Per-body step sizes, and saves at any times.
+class TimedClock(Clock):
+    """Saves at any times, and per-body step sizes.
 
     ``h`` and ``n_steps`` of the base class are those of the body with most steps.
     """
@@ -163,68 +154,31 @@ class PerBodyClock(Clock):
     at: NDArray[np.float64]
     since: NDArray[np.float64]
     slack: NDArray[np.float64]
-    breaks: Breaks
-    #: the duration of the run, s, and whether it goes on to its end after the last save
-    duration: float
+    #: the duration of the run, s, which ends with its last save unless it ``goes_on``
+    lasts: float
     goes_on: bool = False
-    leg: int = _LEG
 
-    def for_calls(self) -> PerBodyClock:
-        """The clock for steps that call a user-defined function."""
-        return replace(self, leg=min(_LEG, max(CALLING_LENGTH, self.n_steps // _MOST_LEGS)))
+    @property
+    def is_per_body(self) -> bool:  # type: ignore[override]
+        """Whether bodies have step sizes of their own."""
+        return self.sizes.size > 1
 
     @property
     def steps(self) -> NDArray[np.float64]:
         """Per-body step sizes, s."""
         return self.sizes
 
-    @cached_property
-    def order(self) -> NDArray[np.int64] | None:
-        """Indices of the bodies, those with most steps first; None if all have one step size."""
-        if self.sizes.size == 1:
-            return None
-        return np.argsort(np.abs(self.sizes), kind="stable").astype(np.int64)
+    @property
+    def duration(self) -> float:
+        """The time from the start to the end of the run, s."""
+        return self.lasts if self.goes_on else float(self.since[-1]) if self.since.size else 0.0
 
-    @cached_property
-    def _stops(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Times at which the loop stops, and the index of the save there, or −1."""
-        breaks, saves, reached, slack = self.breaks, self.at.size, self.since, self.slack
-        left = abs(self.duration) - np.abs(reached).max(initial=0.0)
-        if self.goes_on and left > slack.max(initial=0.0):
-            reached = np.append(reached, self.duration)
-            slack = np.append(slack, 16.0 * _EPS * abs(self.duration))
-        # breakpoints after the last stop are not reached
-        crossed = np.abs(breaks.since) < np.abs(reached).max(initial=0.0)
-        # where the run begins states may jump
-        crossed[0] &= breaks.sampled[0]
-        since = np.concatenate([reached, breaks.since[crossed]])
-        order = np.argsort(np.abs(since), kind="stable")
-        since, is_break = since[order], order >= reached.size
-        divides = is_break & (since != 0.0)
-        slack = np.concatenate([slack, breaks.slack[crossed]])[order]
-        legs = np.diff(since, prepend=0.0)
-        most = np.abs(legs / self.h)
-        parts = np.maximum(1, np.ceil(most / self.leg)).astype(np.int64)
-        ends = np.cumsum(parts) - 1
-        left = np.repeat(ends, parts) - np.arange(parts.sum())
-        times = np.repeat(since, parts) - np.repeat(legs / parts, parts) * left
-        slots = np.full(times.size, -1)
-        slots[ends] = np.where(order < saves, order, -1)
-        stretch: NDArray[np.int64] = np.repeat(np.cumsum(divides) - divides, parts)
-        breaking = np.zeros(times.size)
-        kinds = np.concatenate([np.zeros(reached.size), BREAK + breaks.sampled[crossed]])[order]
-        breaking[ends] = kinds
-        columns = [times, np.repeat(slack, parts), breaking, breaks.since[stretch], 0.0 * times]
-        columns += [x[stretch] for x in (breaks.times, breaks.low, breaks.high)]
-        return np.stack(columns, axis=1), slots
-
-    def per_body(self, n: int) -> PerBody:
-        """The order, step sizes and stops of n bodies, for the engine."""
-        stops, slots = self._stops
-        order = np.arange(n) if self.order is None else self.order
-        return PerBody(
-            order, np.repeat(self.sizes, n) if self.sizes.size == 1 else self.sizes, stops, slots
-        )
+    def legs(self, h: float, breaks: Breaks) -> Legs:
+        """The legs of bodies with the step size h, s."""
+        end, slack = self.duration, float(self.slack.max(initial=16.0 * _EPS * abs(self.duration)))
+        count, rest = on_grid(end, h, slack)
+        n = int(count)
+        return legs_of(h, n + 1, breaks, end) if rest else legs_of(h, n, breaks)
 
     @property
     def saves(self) -> int:
@@ -239,11 +193,6 @@ class PerBodyClock(Clock):
     def times(self, begin: float) -> NDArray[np.float64]:
         """Times of the saves, s."""
         return self.at
-
-    def span(self, projection: int) -> Span:
-        """All steps, for the engine."""
-        n = self._stops[1].size
-        return StopSpan(0, n, n, 1, 0, projection)
 
 
 class RunOptions(NamedTuple):
@@ -268,6 +217,12 @@ def save_batches(saves: int) -> list[tuple[int, int]]:
     return list(pairwise([0, *range(1 + RING, saves, RING), saves]))
 
 
+def ring_slots(saves: int) -> NDArray[np.int64]:
+    """The slot of each save in memory for a batch; the first is for the initial save."""
+    k = np.arange(saves)
+    return np.where(k == 0, 0, 1 + (k - 1) % RING)
+
+
 def clock_of(
     dt: Any,
     n_steps: Any,
@@ -276,7 +231,6 @@ def clock_of(
     save_at: Any,
     begin: float,
     bodies: int,
-    scene: Scene,
 ) -> Clock:
     """The clock of a run of ``bodies`` from time ``begin``.
 
@@ -321,7 +275,7 @@ def clock_of(
         at = _times(save_at, begin, begin + end)
         since, slack = at - begin, 16.0 * _EPS * (np.abs(at) + abs(begin))
     smallest = float(steps[np.abs(steps).argmin()])
-    return PerBodyClock(
+    return TimedClock(
         h=smallest,
         n_steps=int(counts.max()),
         every=None,
@@ -329,8 +283,7 @@ def clock_of(
         at=at,
         since=since,
         slack=slack,
-        breaks=breaks_of(corners_within(scene, begin, end), begin, end, scene.sampling),
-        duration=end,
+        lasts=end,
     )
 
 
@@ -353,7 +306,13 @@ def _given(n_steps: Any) -> Any:
 
 def _steps_within(duration: float, dt: Any) -> Any:
     """The number of steps until the end of a run, the last of which may be shorter."""
-    return np.ceil(np.abs(duration / dt) * (1.0 - 16.0 * _EPS)).astype(np.int64)
+    with np.errstate(over="ignore"):
+        found = np.ceil(np.abs(duration / dt) * (1.0 - 16.0 * _EPS))
+    if not np.max(found) < 2.0**63:
+        raise ValueError(
+            f"dt: found {np.max(found):.3g} steps in {duration:g} s; accepted: fewer than 2**63"
+        )
+    return found.astype(np.int64)
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -13,26 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
-from fastatt.engine.crossings import SEARCH_BLOCK
 from fastatt.engine.job import Job
-from fastatt.engine.run import CALLING_LENGTH, Fixed, Results, Run, Setup, prepare, width_for
+from fastatt.engine.pool import CALLING_LENGTH, Pool
+from fastatt.engine.program import program, width_for
+from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.status import DIAGNOSTICS, Status
+from fastatt.engine.tape import BLOCK, UNBROKEN, Saves, Steps
 from fastatt.propagation import limits
-from fastatt.propagation.breakpoints import corners_of
-from fastatt.propagation.closed_forms import Evaluation
+from fastatt.propagation.breakpoints import breaks_within, corners_of
+from fastatt.propagation.end import End
 from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Given, initial
-from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions
-from fastatt.propagation.resume import End
+from fastatt.propagation.options import Choice, Clock, RunOptions, ring_slots
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
 
 # body-steps; before a longer run the first step of each body is checked
 _LONG = 1_000_000
+# for how many step sizes and starts the steps are kept
+_KEPT = 16
 # bodies from which on searching for parameters that all of them share saves time
 _MANY = 64
 
@@ -80,24 +82,17 @@ class Plan:
         self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
         #: what is saved next to the attitude, with the sizes
         self.carried = scene.carried(position=position)
-        if choice.reducer is not None:
-            self.packed = choice.reducer.watching(self.packed, kind)
-            self.carried["reduced"] = choice.reducer.columns(kind)
         watches = tuple(x.watch(scene, position) for x in choice.events)
         self.packed = watching(self.packed, watches)
         self.limit = limits.turn_limit(scene, method, self.attitude, kind)
         self.damped = limits.decay(scene, clock.steps)
-        self._rates = limits.known_turns(scene, choice, self.packed)
         lanes = processor().lanes(kind_of(kind))
         if scene.sampling is not None and clock.h < 0.0:
             raise ValueError(
                 f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
                 "holds can't be found backwards"
             )
-        # a device takes whole steps: it refuses declared breakpoints, and crosses those of models
-        corners = len(scene.breakpoints if choice.device else corners_of(scene)) > 0
-        corners = corners or scene.sampling is not None
-        divides = corners or clock.ends is not None
+        groups = np.unique(clock.steps).size
         self.job = Job(
             method,
             self.attitude,
@@ -105,25 +100,16 @@ class Plan:
             kind_of(kind),
             shared=self.packed.params.ndim == 1,
             alike=self._shared_parameters(),
-            known=self._rates is not None,
             raw=choice.raw,
             projects=choice.projection > 0,
-            own_steps=isinstance(clock, PerBodyClock) or divides,
             events=watches,
-            windowed=corners,
-            width=n_bodies if choice.device else width_for(n_bodies, lanes),
+            windowed=len(corners_of(scene)) > 0 or scene.sampling is not None,
+            width=width_for(-(-n_bodies // groups), lanes),
         )
         if not method.is_exact:
-            self._program = (choice.device.program if choice.device else prepare)(self.job)
-            if self.calls and isinstance(clock, PerBodyClock):
-                self.clock = clock = clock.for_calls()
-        self.span = clock.span(choice.projection)
-        if watches:
-            self.span = replace(self.span, block=SEARCH_BLOCK)
-        if not method.is_exact and self.calls:
-            self.span = replace(self.span, block=CALLING_LENGTH)
-        #: prepared closed forms, by the number of saves
-        self.evaluations: dict[int, Evaluation] = {}
+            self._program = program(self.job)
+        #: the steps of the last runs, by the step size and the time of the start, if it matters
+        self._steps: dict[tuple[float, float], Steps] = {}
 
     def __reduce__(self) -> Any:
         return self._remake, ()
@@ -217,7 +203,7 @@ class Plan:
         Results do not depend on it.
         """
         params = self.packed.params
-        if params.ndim == 1 or len(params) < _MANY or self.choice.device:
+        if params.ndim == 1 or len(params) < _MANY:
             return ()
         can_change = (
             self._user_parameters() if self._remake and self.scene.params is not None else ()
@@ -228,54 +214,59 @@ class Plan:
 
     @cached_property
     def _setup(self) -> Setup:
-        """What all runs share: parameters, known rotation angles, flags and bounds."""
+        """What all runs share: parameters, flags and bounds."""
         method = self.choice.method
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
-        rates = 0.0 if self._rates is None else self._rates
-        with np.errstate(over="ignore", invalid="ignore"):
-            angles = np.atleast_1d(np.multiply(rates, np.abs(self.clock.steps)))
         # parameters beyond the precision's range, and damping beyond the method's limit
         lost = (np.abs(params) > np.finfo(self.kind).max).any(axis=-1)
         fast = self.damped > method.damping_limit
         flags = lost * np.uint8(Status.NON_FINITE) | fast * np.uint8(Status.STEP_TOO_LARGE)
-        quiet = limits.quiet_up_to(self.scene, method, self.limit)
-        return Setup(
-            self._program,
-            self.packed.resources,
-            [quiet, *(x.bound(self) for x in DIAGNOSTICS)],
-            Fixed(
-                params,
-                np.ascontiguousarray(angles, dtype=np.float64),
-                np.ascontiguousarray(flags, dtype=np.uint8),
-            ),
-        )
+        limits = [x.bound(self) for x in DIAGNOSTICS]
+        flags = np.ascontiguousarray(flags, dtype=np.uint8)
+        return Setup(self._program, self.packed.resources, limits, params, flags)
+
+    def pool(self, bodies: int, n_threads: int) -> Pool:
+        """The threads of a run of a number of bodies."""
+        formulas = self._program.formulas
+        return Pool(
+            bodies, self.job.width, formulas.operations, n_threads,
+            calls=self.calls, watched=bool(self.job.events),
+        )  # fmt: skip
+
+    def steps(self, h: float, t0: float, start: End | None = None, *, ring: bool = False) -> Steps:
+        """The steps of bodies with the step size h; saves go to a ``ring`` of slots."""
+        is_plain, key = start is None and not ring, (h, t0 if self.job.windowed else 0.0)
+        if is_plain and (known := self._steps.get(key)):
+            return known
+        clock, breaks = self.clock, UNBROKEN
+        if self.job.windowed:
+            breaks = breaks_within(self.scene, t0, clock.duration)
+        made = Steps(
+            clock.legs(h, breaks), Saves(clock.since, clock.slack),
+            slots=ring_slots(clock.saves) if ring else None,
+            every=self.choice.projection, block=CALLING_LENGTH if self.calls else BLOCK,
+            resumes=start is not None, done=clock.done, watched=bool(self.job.events),
+            new=start is None or start.watched != self.watched,
+        )  # fmt: skip
+        if is_plain:
+            while len(self._steps) >= _KEPT:
+                self._steps.pop(next(iter(self._steps)), None)
+            self._steps[key] = made
+        return made
 
     def started(
-        self,
-        given: Given,
-        t0: float,
-        results: Results,
-        bodies: tuple[int, int],
+        self, given: Given, t0: float, results: Results, rows: Any, steps: Steps,
         start: End | None = None,
-    ) -> Run:
-        """A run of the bodies (first, number), which writes into the arrays of the whole ensemble.
+    ) -> Run:  # fmt: skip
+        """A run of some bodies, whose results go to the given arrays of theirs.
 
         With ``start`` it continues from the end of another run.
         """
-        clock, stages = self.clock, self.choice.method.stages
-        share = 0.5 * float(stages[-1][1]) if stages else 0.0
-        per_body, parts = None, None
-        if isinstance(clock, PerBodyClock):
-            per_body = clock.per_body(self.n_bodies)
-        elif self.job.own_steps or self.job.events:
-            parts = clock.parts(t0, self.scene)
-        times, state = (t0, clock.h, share), (given.q, given.y)
-        run = Run(self._setup, bodies, state, times, results, per_body, parts)
-        if start is not None:
-            run.states[...], run.diagnostics[...] = start.states, start.diagnostics
-            if start.watched == self.watched:
-                for to, kept in zip(run.events, start.events, strict=True):
-                    to[...] = kept
+        run = Run(self._setup, steps, (given.q, given.y), rows, results, t0)
+        if start is None:
+            run.begin()
+        else:
+            run.resume(start.states, start.events if start.watched == self.watched else [])
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
@@ -285,7 +276,7 @@ class Plan:
         """
         found = self.clock.times(t0)
         by_time = not self.choice.method.is_exact and (
-            self.job.own_steps or self._program.formulas.is_timed
+            self.job.windowed or self._program.formulas.is_timed
         )
         if by_time and (text := rounding.of_times(self.clock.longest(t0), self.clock.h)):
             rounding.warn(text)
@@ -315,20 +306,20 @@ class Plan:
         self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
     ) -> Trajectory:
         """The trajectory of the given saves."""
-        out = results.out
+        saves = results.saves
         return Trajectory(
             t=t,
-            state=out[:, :, : self.attitude.stored],
-            norm_error=results.norm_error,
+            state=saves[:, :, : self.attitude.stored],
+            norm_error=saves[:, :, -1],
             status=results.status,
             dt=self.clock.steps,
             one_body=one_body,
             packed=self.packed,
             attitude=self.attitude,
             record=self.choice.method,
-            carried={name: out[:, :, columns] for name, columns in self._columns.items()},
+            carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
-            found=results.event_times,
+            found=results.event_times if self.choice.events else None,
             terminal=tuple(x.terminal for x in self.choice.events),
         )
 
@@ -354,29 +345,26 @@ class Plan:
             angles = limits.first_step(self.scene, self.choice.method, w, steps)
         return limits.warn(self, angles)
 
-    def warn_after(self, given: Given, largest: float, squares: Sequence[NDArray[Any]]) -> None:
-        """Warn of the steps that were taken, or of the first step if that one is the reason.
-
-        ``squares`` of the largest rotation angle of a step, rad², are in the order in which the
-        bodies were run.
-        """
+    def warn_after(self, given: Given, angles: NDArray[Any]) -> None:
+        """Warn of the largest steps of bodies, rad, or of the first step if that is the reason."""
         least, most = self._silent_range
+        largest = float(angles.max())
+        if math.isnan(largest):
+            largest = float(np.nanmax(angles, initial=0.0))
         if largest and self.clock.n_steps and not least <= largest <= most:
-            seen, order = np.sqrt(np.concatenate(squares)), self.clock.order
-            seen = seen if order is None else seen[np.argsort(order)]
-            _ = self.warn_of_first(given) or limits.warn(self, seen)
+            _ = self.warn_of_first(given) or limits.warn(self, angles)
 
     def end(self, given: Given, run: Run, t0: float, done: int) -> End:
         """The end of a run after ``done`` steps, with a copy of its initial values."""
         kept = given._replace(q=given.q.copy(), y=given.y.copy())
         return End(
-            kept, run.states, run.diagnostics, done, t0, self.about, self.packed.params,
-            self.equations, self.watched, [x.copy() for x in run.events],
+            kept, run.states[:, run.without_events], done, t0, self.about, self.packed.params,
+            self.equations, self.watched, run.events(),
         )  # fmt: skip
 
     @cached_property
     def about(self) -> dict[str, Any]:
-        """The options that a resumed run must share, by the names of arguments."""
+        """The options that a resumed run has in common, by the names of arguments."""
         choice = self.choice
         return {
             "dt": float(self.clock.h).hex(),
@@ -384,18 +372,14 @@ class Plan:
             "representation": self.attitude.name,
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection or "output",
-            "dtype": self.kind.name,
-            "t_end": self.clock.ends,
-            "breakpoints": list(self.scene.breakpoints),
-            "sampling": None if self.scene.sampling is None else list(self.scene.sampling),
             "r0": "r" in self.carried,
-            "reduce": 0 if choice.reducer is None else choice.reducer.start.shape[-1],
         }
 
     @cached_property
     def equations(self) -> str:
-        """A hash of the operations of a step and of the tables that it reads."""
+        """A hash of the operations of a step, the tables that it reads, and when models jump."""
         read = hashlib.sha256(self._program.formulas.digest)
+        read.update(repr((self.scene.breakpoints, self.scene.sampling)).encode())
         for table in self.packed.tables.values():
             read.update(table.tobytes())
         return read.hexdigest()
@@ -407,5 +391,5 @@ class Plan:
             return ""
         formulas = self._program.formulas
         each = [(watch.direction, watch.terminal) for watch in self.job.events]
-        spelled = formulas.events.spelled(formulas.resources)
+        spelled = formulas.look.spelled(formulas.resources)
         return hashlib.sha256(f"{each}{spelled}".encode()).hexdigest()

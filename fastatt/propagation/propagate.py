@@ -8,22 +8,18 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
-from fastatt.attitudes import Attitude
+from fastatt.files import target
 from fastatt.methods import METHODS, Method
-from fastatt.propagation import closed_form
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.event import Event, events_of
 from fastatt.propagation.execute import execute
 from fastatt.propagation.histories import ToFile, saving
-from fastatt.propagation.initial import Given, initial, same_number
-from fastatt.propagation.options import Choice, Clock, PerBodyClock, RunOptions, clock_of
+from fastatt.propagation.initial import Given, initial
+from fastatt.propagation.options import Choice, Clock, RunOptions, TimedClock, clock_of
 from fastatt.propagation.plan import Plan
-from fastatt.propagation.reducer import Reducer
-from fastatt.propagation.resume import Checkpoint, end_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
@@ -38,7 +34,7 @@ _KEPT, _FEW = 16, 1024
 
 def propagate(
     scene: Scene,
-    q0: ArrayLike | None = None,
+    q0: ArrayLike,
     w0: ArrayLike | None = None,
     *,
     v0: ArrayLike | None = None,
@@ -48,7 +44,7 @@ def propagate(
     n_steps: int | ArrayLike | None = None,
     t_end: float | None = None,
     method: str | Method | None = None,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     save_every: int | None = None,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
@@ -58,10 +54,8 @@ def propagate(
     normalise: str | int = "output",
     invalid: str = "raise",
     on_save: OnSave | Sequence[OnSave] | None = None,
-    reduce: Reducer | None = None,
-    resume: Trajectory | str | os.PathLike[str] | Checkpoint | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     save_at: ArrayLike | None = None,
-    device: str | None = None,
     events: Event | Sequence[Event] = (),
 ) -> Trajectory:
     """Propagate the attitude of one body or of an ensemble with a fixed step size.
@@ -70,10 +64,9 @@ def propagate(
     ----------
     scene : Scene
         The bodies with their rates, torques and forces.
-    q0 : array_like of shape (4,) or (N, 4), optional
+    q0 : array_like of shape (4,) or (N, 4)
         Initial attitudes: quaternions from body axes to inertial axes, scalar first. Their norm may
-        be any number above zero. SciPy's ``Rotation`` is accepted too. Required unless ``resume``
-        provides the initial values.
+        be any number above zero. SciPy's ``Rotation`` is accepted too.
     w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s. Required for a scene with inertia, and
         refused for a scene with a rate.
@@ -96,11 +89,11 @@ def propagate(
         whole number of steps, the last step is shorter.
     method : str or Method, optional
         A name in :data:`fastatt.METHODS`, or a method made with :func:`fastatt.runge_kutta` or
-        :func:`fastatt.lie_group`. The default is the first of magnus4, exact, rk8 and rk4 that fits
+        :func:`fastatt.lie_group`. The default is the first of magnus6, exact, rk8 and rk4 that fits
         the scene and the representation; ``Trajectory.method`` names it.
-    representation : str or Attitude, default "quat"
-        The numbers that represent the attitude during the run: a name in
-        ``fastatt.attitudes.ATTITUDES``, such as "quat" or "dcm", or an :class:`Attitude`.
+    representation : str, default "quat"
+        The numbers that represent the attitude during the run: "quat", "dcm", "mrp", "dcm_rows"
+        (two rows of the matrix), "euler313" or "rotation_vector".
     save_every : int, optional
         Save the initial state, the state after every ``save_every`` steps, and the final state. The
         default saves the final state only.
@@ -132,30 +125,15 @@ def propagate(
         the returned trajectory has the final state only. A function is called with a trajectory of
         16 saves at a time (17 with the initial state), whose arrays are reused afterwards.
         :func:`fastatt.to_file` writes the saves to a file.
-    reduce : Reducer, optional
-        A user-defined function that is evaluated after every step of every body, made by
-        :func:`fastatt.reducer`. ``Trajectory.reduced`` holds its last state. Accepted with methods
-        for which ``Method.reduces`` is True.
-    resume : Trajectory, str, os.PathLike or Checkpoint, optional
-        Continue an earlier run from its end: a trajectory of at most 262144 bodies, or a file
-        written by :meth:`Trajectory.save_end`. The result has the same bits as one uninterrupted
-        run. The initial values, ``t0``, method, precision and ``compensated`` are taken from the
-        earlier run. ``scene``, ``dt``, ``representation``, ``normalise`` and ``reduce`` must be
-        passed again with the same values, and ``save_every`` counts from the end of that run. With
-        :func:`fastatt.checkpoint` the run writes its state to a file every ten seconds, and the
-        same call continues from that file.
+    checkpoint : str or os.PathLike, optional
+        A file to which the run writes its state every ten seconds and at the end, unless the last
+        step is shorter. After a crash :func:`resume` continues from it.
     save_at : array_like of shape (S,), optional
         Times at which states are saved, s, within the run and in its order. Each is reached from
         the last step before it with one shorter step of the same method.
-    device : {"cuda"}, optional
-        "cuda" runs on an NVIDIA GPU, through Numba (``pip install 'fastatt[cuda]'``). The steps are
-        the same; the closed form "exact" is not available. Initial values may be CuPy arrays or
-        Numba device arrays. Then ``q`` of quaternions, ``w``, ``v``, ``r`` and ``s`` of the
-        trajectory stay on the device, except with ``on_save`` or a checkpoint.
     events : Event or sequence of Event, optional
         Events made by :func:`fastatt.event`. ``Trajectory.event_times`` holds the time at which
-        each body first crosses each event. Accepted with methods that take steps, and not together
-        with ``device``. A resumed run continues the search if its events are the same.
+        each body first crosses each event. Accepted with methods that take steps.
 
     Returns
     -------
@@ -178,10 +156,14 @@ def propagate(
     -----
     StepWarning
         If a step is beyond the method's limit, or too small for the precision.
+    RuntimeWarning
+        If the status of a body is not 0, with the flags and the number of bodies, unless a
+        StepWarning tells of too large steps.
 
     See Also
     --------
     plan : A prepared run, for many calls with the same arguments.
+    resume : Continue a run from its end, or from a file.
     recommend : The method and step size for a given tolerance.
     fastatt.dask.propagate : Ensembles that are larger than the memory of one machine.
 
@@ -206,78 +188,50 @@ def propagate(
     """
     as_scene(scene)
     watched = events_of(events)
-    if watched:
-        _check_alone("events; accepted: without", device=device)
     function, file = saving(on_save)
-    checkpoint = resume.path if isinstance(resume, Checkpoint) else None
-    gpu = None
-    if device is not None:
-        from fastatt.device.program import taken
-
-        stays = on_save is None and checkpoint is None
-        gpu, (q0, w0, v0, r0, s0) = taken(device, (q0, w0, v0, r0, s0), stays=stays)
-    end = None if resume is None or checkpoint is not None else end_of(resume)
-    if end is not None:
-        method, compensated = method or end.about["method"], end.about["compensated"]
-    choice = chosen(scene, method, representation, compensated, normalise, reduce, gpu, watched)
-    flag = checks.choice("invalid", invalid, closed_form.INVALID) == "flag"
+    choice = chosen(scene, method, representation, compensated, normalise, watched)
+    flag = checks.flags_invalid(invalid)
     begin = checks.real("t0", t0)
-    if end is None:
-        values = (q0, w0, v0, r0, s0)
-        start, carried = initial(scene, values, flag=flag)
-        kind = checks.precision(dtype, *values)
-        if reduce is not None:
-            carried["reduced"] = reduce.begin(kind)
-            same_number({**carried, "q0": start})
-        given = Given.of(start, carried, kind)
-        clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies, scene)
-        if watched and isinstance(clock, PerBodyClock):
+    values = (q0, w0, v0, r0, s0)
+    start, carried = initial(scene, values, flag=flag)
+    kind = checks.precision(dtype, *values)
+    given = Given.of(start, carried, kind)
+    clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies)
+    if isinstance(clock, TimedClock):
+        if watched:
             clock = replace(clock, goes_on=True)
-        position = r0 is not None
-    else:
-        # the initial values are those of the earlier run, and saves are counted from its end
-        found = {"q0": q0, "w0": w0, "v0": v0, "r0": r0, "s0": s0, "t0": begin or None}
-        _check_alone("resume; accepted: one of them", **found, save_at=save_at)
-        _check_alone("resume; accepted: n_steps", t_end=t_end)
-        _check_alone("resume; accepted: one step size", dt=dt if np.ndim(dt) else None)
-        if dtype is not None and checks.precision(dtype) != end.given.q.dtype:
-            raise ValueError(
-                f"dtype: found {checks.brief(dtype)} with resume; accepted: {end.given.q.dtype}, "
-                "as in the earlier run, or None"
-            )
-        given, begin, position = end.given, end.t0, bool(end.about["r0"])
-        clock = Clock.of(dt, n_steps, save_every, end.done)
-    if isinstance(clock, PerBodyClock):
         # these need one step size for all bodies, and saves after whole steps
         _check_alone(
             "save_at or per-body step sizes; accepted: without", on_save=on_save,
-            resume=checkpoint, compensated=compensated, normalise=choice.projection or None,
+            checkpoint=checkpoint, compensated=compensated,
+            normalise=choice.projection or None,
         )  # fmt: skip
     if on_save is not None and clock.every is None:
         raise ValueError("on_save: found without save_every; accepted: with it")
-    if checkpoint is not None and clock.every is not None and on_save is None:
-        raise ValueError(
-            "resume: found a checkpoint and save_every; accepted: with on_save too, which has the "
-            "saves so far, or without save_every"
-        )
     options = RunOptions(
         threads_of(n_threads, given.bodies, clock.n_steps),
         progress=progress,
         on_save=function,
         file=file,
-        checkpoint=checkpoint,
-        start=end,
+        checkpoint=None if checkpoint is None else target("checkpoint", checkpoint),
         keep_end=True,
     )
-    return execute(_plan_of(scene, choice, clock, given, position), given, begin, options)
+    plan_of_run = _plan_of(scene, choice, clock, given, r0 is not None)
+    return execute(plan_of_run, given, begin, options)
+
+
+def _check_alone(why: str, **arguments: Any) -> None:
+    """Raise ``ValueError`` if one of the arguments is given."""
+    for name, value in arguments.items():
+        if value is not None and value is not False:
+            raise ValueError(f"{name}: found with {why}")
 
 
 def _plan_of(scene: Scene, choice: Choice, clock: Clock, given: Given, position: bool) -> Plan:
     """The plan of a run. Plans of small runs are kept with the scene."""
     n, kind = given.bodies, given.q.dtype
     key = (n, choice, clock, kind, position)
-    plain = not (clock.done or isinstance(clock, PerBodyClock) or choice.device)
-    is_small = n <= _FEW and plain
+    is_small = n <= _FEW and not isinstance(clock, TimedClock)
     found: Plan | None = scene.memo.get(key) if is_small else None
     if found is None:
         found = Plan(scene, n, choice, clock, kind, position=position)
@@ -296,7 +250,7 @@ def plan(
     n_steps: int | None = None,
     t_end: float | None = None,
     method: str | Method | None = None,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     save_every: int | None = None,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
@@ -326,7 +280,7 @@ def plan(
         Duration of each run, s, as in :func:`propagate`.
     method : str or Method, optional
         The method, as in :func:`propagate`.
-    representation : str or Attitude, default "quat"
+    representation : str, default "quat"
         The representation of the attitude, as in :func:`propagate`.
     save_every : int, optional
         Number of steps between saves, as in :func:`propagate`.
@@ -371,7 +325,7 @@ def plan(
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
     choice = chosen(scene, method, representation, compensated, normalise, events=events_of(events))
     clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
-    checks.choice("invalid", invalid, closed_form.INVALID)
+    checks.flags_invalid(invalid)
     if METHODS.get(choice.method.name) is choice.method:
         arguments["method"] = choice.method.name
     return Plan(
@@ -392,10 +346,3 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
     if n_threads is None and n_bodies * n_steps < _SHORT:
         return 1
     return number_of(n_threads)
-
-
-def _check_alone(why: str, **arguments: Any) -> None:
-    """Raise ``ValueError`` if one of the arguments is given."""
-    for name, value in arguments.items():
-        if value is not None and value is not False:
-            raise ValueError(f"{name}: found with {why}")

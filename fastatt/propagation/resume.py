@@ -1,217 +1,183 @@
-"""The end of a run, from which another run continues as if it had not been interrupted.
-
-A restart from a saved attitude and rate is another run: the state was projected, the compensation
-of rounding is lost, and the invariants are measured from a new start.
-"""
+"""The function ``resume``."""
 
 from __future__ import annotations
 
-import json
+import math
 import os
-import tempfile
-import zipfile
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.propagation.initial import Given
+from fastatt.files import target
+from fastatt.methods import METHODS, Method
+from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.end import End, check, end_of
+from fastatt.propagation.event import Event, events_of
+from fastatt.propagation.execute import execute
+from fastatt.propagation.histories import saving
+from fastatt.propagation.options import Choice, Clock, RunOptions
+from fastatt.propagation.plan import Plan
+from fastatt.propagation.propagate import OnSave, threads_of
+from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.scene import Scene, as_scene
 
-if TYPE_CHECKING:
-    from fastatt.propagation.plan import Plan
-
-_FORMAT = 6
-#: the largest number of bodies of which a trajectory holds its end
-MOST = 1 << 18
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A file that holds the end of a run so far; :func:`checkpoint` makes it.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    """
-
-    path: Path
+_EPS = float(np.finfo(np.float64).eps)
 
 
-def checkpoint(path: str | os.PathLike[str]) -> Checkpoint:
-    """A file from which the same call continues after a crash: ``resume=fa.checkpoint(path)``.
+def resume(
+    scene: Scene,
+    run: Trajectory | str | os.PathLike[str],
+    *,
+    n_steps: int | None = None,
+    t_end: float | None = None,
+    method: Method | None = None,
+    save_every: int | None = None,
+    n_threads: int | None = None,
+    progress: bool = False,
+    on_save: OnSave | Sequence[OnSave] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    events: Event | Sequence[Event] = (),
+) -> Trajectory:
+    """Continue a run from its end, with the same bits as a run without the interruption.
 
-    The run writes its state to the file every ten seconds; a file is replaced only by a complete
-    one. If the file exists, the run continues from there, with the same bits as an uninterrupted
-    run. With ``save_every``, the saves must go to ``on_save``; those since the last checkpoint may
-    reach a function twice.
+    Step size, method, representation, precision, ``normalise`` and ``compensated`` are those of the
+    run. (A new run from ``run.q[-1]`` differs by rounding, because saved attitudes are
+    renormalised.)
 
     Parameters
     ----------
-    path : str or os.PathLike
-        The file. The run creates it; it may be removed when the run is over.
+    scene : Scene
+        The scene of the run.
+    run : Trajectory, str or os.PathLike
+        The run: a trajectory of at most 262144 bodies, or a file that :meth:`Trajectory.save_end`
+        or ``checkpoint`` wrote.
+    n_steps : int, optional
+        Number of further steps, at least 0. Give either ``n_steps`` or ``t_end``.
+    t_end : float, optional
+        Time of the end, s, not before that of the run. If it is not a whole number of steps away,
+        the last step is shorter.
+    method : Method, optional
+        The method of the run, if it was made with :func:`fastatt.runge_kutta` or
+        :func:`fastatt.lie_group`.
+    save_every : int, optional
+        Save the state at the end of the run, the state after every ``save_every`` further steps,
+        and the final state. The default saves the final state only.
+    n_threads : int, optional
+        Number of threads, as in :func:`propagate`.
+    progress : bool, default False
+        Show a progress bar, which needs tqdm.
+    on_save : callable or ToFile, or a list of one of each, optional
+        Receives the saves, as in :func:`propagate`.
+    checkpoint : str or os.PathLike, optional
+        A file to which the state is written every ten seconds, as in :func:`propagate`. It may be
+        the file from which the run is resumed.
+    events : Event or sequence of Event, optional
+        Events, as in :func:`propagate`. If they are those of the run, their search continues, and
+        bodies that have stopped stay as they are. Others are refused if the run had a terminal one.
 
     Returns
     -------
-    Checkpoint
-        For the argument ``resume`` of :func:`fastatt.propagate`.
+    Trajectory
+        The further saves; its times are counted on.
 
     Raises
     ------
+    ValueError
+        If the scene, the method or the events differ from those of the run, if the trajectory or
+        the file does not hold the end of a run, or if another argument does not fit.
     TypeError
-        If ``path`` is not a path.
+        If an argument has the wrong type.
+    OSError
+        If the file cannot be read.
+    KeyboardInterrupt
+        On Ctrl-C, as in :func:`propagate`.
+
+    Warns
+    -----
+    StepWarning
+        As :func:`propagate` does.
+
+    See Also
+    --------
+    propagate : Runs from initial values.
 
     Examples
     --------
+    >>> import numpy as np
     >>> import fastatt as fa
-    >>> fa.checkpoint("job").path.name
-    'job'
+    >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    >>> start = [1, 0, 0, 0], [0.1, 0.3, -0.2]
+    >>> whole = fa.propagate(body, *start, dt=0.1, n_steps=100, method="rk8")
+    >>> half = fa.propagate(body, *start, dt=0.1, n_steps=40, method="rk8")
+    >>> rest = fa.resume(body, half, t_end=10.0)
+    >>> rest.t, np.array_equal(rest.q, whole.q)
+    (array([10.]), True)
     """
-    return Checkpoint(checks.path("path", path))
+    as_scene(scene)
+    watched = events_of(events)
+    function, file = saving(on_save)
+    end = end_of(run)
+    choice = _choice_of(scene, end.about, method, watched)
+    clock = _clock_of(end, n_steps, t_end, save_every)
+    if on_save is not None and clock.every is None:
+        raise ValueError("on_save: found without save_every; accepted: with it")
+    options = RunOptions(
+        threads_of(n_threads, end.given.bodies, clock.n_steps),
+        progress=progress,
+        on_save=function,
+        file=file,
+        checkpoint=None if checkpoint is None else target("checkpoint", checkpoint),
+        start=end,
+        keep_end=True,
+    )
+    position = end.about["r0"] and scene.moves
+    plan = Plan(scene, end.given.bodies, choice, clock, end.given.q.dtype, position=position)
+    check(end, plan)
+    return execute(plan, end.given, end.t0, options)
 
 
-@dataclass(frozen=True, eq=False)
-class End:
-    """The last state of a run as the engine carries it, its initial values, and its options."""
-
-    given: Given
-    states: NDArray[Any]
-    diagnostics: NDArray[Any]
-    done: int
-    t0: float
-    about: dict[str, Any]
-    params: NDArray[np.float64]
-    #: a hash of the operations of a step, and one of the events
-    equations: str
-    watched: str
-    #: what the run keeps of its events: their last values, found times, states of stopped bodies
-    events: list[NDArray[Any]]
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the end to a file, completely or not at all."""
-        target = Path(path)
-        given = self.given
-        header = {
-            "format": _FORMAT,
-            "done": self.done,
-            "t0": self.t0.hex(),
-            "equations": self.equations,
-            "watched": self.watched,
-            "one_body": given.one_body,
-            **self.about,
-        }
-        events: dict[str, Any] = {f"events_{i}": x for i, x in enumerate(self.events)}
-        handle, name = tempfile.mkstemp(prefix=target.name, dir=target.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(
-                    file,
-                    header=np.array(json.dumps(header)),
-                    q=given.q,
-                    y=given.y,
-                    states=self.states,
-                    diagnostics=self.diagnostics,
-                    params=self.params,
-                    **events,
-                )
-                file.flush()
-                os.fsync(file.fileno())
-            Path(name).replace(target)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-
-
-def loaded(path: str | os.PathLike[str]) -> End:
-    """Read the end of a run from a file.
-
-    Raises ``ValueError`` for another kind of file, ``OSError`` if it can't be read.
-    """
+def _choice_of(
+    scene: Scene, about: dict[str, Any], method: Method | None, events: tuple[Event, ...]
+) -> Choice:
+    """The method and the representation of the run that is resumed."""
+    name = about["method"]
+    found = method.name if isinstance(method, Method) else method
+    if found not in (None, name):
+        raise ValueError(f"method: found {checks.brief(found)}; accepted: {name}, as in the run")
+    if method is None and name not in METHODS:
+        raise ValueError(f"method: is missing; accepted: the Method {name} of the run")
+    options = about["representation"], about["compensated"], about["normalise"]
     try:
-        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            about = json.loads(str(file["header"]))
-            if about.pop("format") != _FORMAT:
-                raise KeyError("format")
-            return End(
-                given=Given(file["q"], file["y"], about.pop("one_body")),
-                states=file["states"],
-                diagnostics=file["diagnostics"],
-                done=about.pop("done"),
-                t0=float.fromhex(about.pop("t0")),
-                equations=about.pop("equations"),
-                watched=about.pop("watched"),
-                events=[file[name] for name in sorted(file) if name.startswith("events_")],
-                params=file["params"],
-                about=about,
-            )
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        return chosen(scene, method or name, *options, events)
+    except ValueError as error:
         raise ValueError(
-            f"resume: {str(path)!r} is not the end of a run ({error}); accepted: "
-            "one that Trajectory.save_end or fa.checkpoint wrote"
+            f"scene: found one that does not fit the run ({error}); accepted: that of the run"
         ) from None
 
 
-def end_of(resume: Any) -> End:
-    """The end that a trajectory or a file holds.
-
-    Raises ``TypeError`` and ``ValueError`` if there is none.
-    """
-    if isinstance(resume, (str, os.PathLike)):
-        return loaded(resume)
-    end = getattr(resume, "end", None)
-    if isinstance(end, End):
-        return end
-    if hasattr(resume, "status"):
+def _clock_of(end: End, n_steps: Any, t_end: Any, save_every: Any) -> Clock:
+    """The further steps, until the time ``t_end`` if it is given."""
+    step = float.fromhex(end.about["dt"])
+    if t_end is None:
+        return Clock.of(step, n_steps, save_every, end.done)
+    if n_steps is not None:
+        raise ValueError("n_steps, t_end: found both; accepted: one of them")
+    last = checks.real("t_end", t_end)
+    duration = last - end.t0
+    steps = duration / step
+    if not abs(steps) < 2.0**63:
+        raise ValueError(f"t_end: found {last}; accepted: less than 2**63 steps of {step} s away")
+    # times differ by their rounding
+    slack = 16.0 * _EPS * (abs(last) + abs(end.t0))
+    is_whole = abs(duration - round(steps) * step) <= slack
+    total = round(steps) if is_whole else math.ceil(steps)
+    if total < end.done:
+        reached, order = end.t0 + end.done * step, "after" if step > 0.0 else "before"
         raise ValueError(
-            "resume: found a trajectory that does not hold its end; accepted: one of propagate by "
-            f"a method that steps, of at most {MOST} bodies, with one step size, whole steps "
-            "(t_end a multiple of dt) and without save_at; a file that fa.checkpoint wrote, of any "
-            "number"
+            f"t_end: found {last}; accepted: {reached}, the end of the run, or {order} it"
         )
-    raise TypeError(
-        f"resume: found {checks.brief(resume)}; accepted: a trajectory, a file's path or "
-        "fa.checkpoint(path)"
-    )
-
-
-def check(end: End, plan: Plan, *, is_same_run: bool) -> None:
-    """Refuse to resume with other options, another scene or another method.
-
-    ``is_same_run`` says that an interrupted run goes on, so that its events must be the same too.
-    """
-    for name, value in plan.about.items():
-        if end.about[name] != value:
-            raise ValueError(
-                f"{name}: found {_plain(value)}; accepted: {_plain(end.about[name])}, as in the "
-                "earlier run"
-            )
-    if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
-        raise ValueError("scene: differs from that of the run that is resumed; accepted: the same")
-    if end.watched != plan.watched and (is_same_run or any(map(np.size, end.events[3:]))):
-        raise ValueError(
-            "events: found others than those of the run that is resumed; accepted: the same, since "
-            + ("the run is not over" if is_same_run else "bodies stop at terminal ones")
-        )
-
-
-def check_begin(end: End, given: Given, t0: float, n_steps: int) -> None:
-    """Refuse a checkpoint of a run with other initial values, or one of a later step."""
-    begin = end.given
-    pairs = ((begin.q, given.q), (begin.y, given.y))
-    if end.t0 != t0 or not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
-        raise ValueError(
-            "resume: the checkpoint is of a run from other initial values; accepted: the same call "
-            "again, or no file"
-        )
-    if end.done > n_steps:
-        raise ValueError(
-            f"n_steps: found {n_steps}; accepted: at least {end.done}, after which the checkpoint "
-            "was written"
-        )
-
-
-def _plain(value: Any) -> Any:
-    return float.fromhex(value) if isinstance(value, str) and value[:3] in ("0x1", "-0x") else value
+    clock = Clock.of(step, total - end.done, save_every, end.done)
+    return clock if is_whole else replace(clock, ends=duration)

@@ -11,20 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays, checks
-from fastatt._fork import cached_property
+from fastatt import arrays
+from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
-from fastatt.engine.double_states import joined_array
 from fastatt.engine.status import Status
 from fastatt.methods import METHODS
+from fastatt.propagation.end import NO_END, End
 from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Law, Packed
 from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from fastatt.methods.method import Method
-    from fastatt.propagation.resume import End
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,9 +106,7 @@ class Trajectory:
         """Unit quaternions from body to inertial axes, scalar first: (S, N, 4)."""
         if self.attitude.to_quat_array is not None:
             return self._shaped(self.attitude.to_quat_array(self.state))
-        if self.attitude.to_dcm_array is not None:
-            return arrays.quaternions_of(self.dcm)
-        return self._shaped(self.state)
+        return arrays.quaternions_of(self.dcm)
 
     @cached_property
     def dcm(self) -> NDArray[Any]:
@@ -165,19 +164,6 @@ class Trajectory:
         return self._shaped(self._carried("s", "states"))
 
     @property
-    def reduced(self) -> NDArray[Any]:
-        """Last state of the function ``reduce``, float64: (N, k), or (k,) for one body.
-
-        ``ValueError`` for a run without ``reduce``.
-        """
-        if "reduced" not in self.carried:
-            raise ValueError(
-                "reduced: the run had no reduce; accepted: one with propagate(reduce=)"
-            )
-        last = np.asarray(self._shaped(self.carried["reduced"])[-1])
-        return last if last.dtype == np.float64 else joined_array(last)
-
-    @property
     def event_times(self) -> NDArray[np.float64]:
         """Time of the first crossing of each event by each body, s: (N, E), or (E,) for one body.
 
@@ -191,97 +177,6 @@ class Trajectory:
         if name not in self.carried:
             raise ValueError(f"{name}: is not carried; it is in a scene with {needs}")
         return self.carried[name]
-
-    def pointing_error(self, target: Any) -> NDArray[Any]:
-        """Angle between the attitude and a target attitude, in [0, π].
-
-        Parameters
-        ----------
-        target : array_like or Trajectory
-            Quaternions that broadcast against ``q``: (4,) for all times and bodies, (N, 4) for each
-            body, (S, 1, 4) for each save, or (S, N, 4); for one body (4,) or (S, 4). Rotation
-            matrices are accepted in the same shapes, with (3, 3) in place of (4,). A trajectory
-            with the same saved times is taken as its attitudes.
-
-        Returns
-        -------
-        ndarray of shape (S, N)
-            The angle, rad; (S,) for one body.
-
-        Raises
-        ------
-        ValueError
-            If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
-        """
-        return np.asarray(arrays.angle_between(self.q, self._target(target)))
-
-    def rotation_vector_to(self, target: Any) -> NDArray[Any]:
-        """Rotation vector u from the attitude to a target: q∘exp(u) is the target.
-
-        The length of u is the ``pointing_error``, at most π. Its components are the attitude errors
-        about the body axes, as feedback laws need them.
-
-        Parameters
-        ----------
-        target : array_like or Trajectory
-            The target, in the forms that :meth:`pointing_error` accepts.
-
-        Returns
-        -------
-        ndarray of shape (S, N, 3)
-            Rotation vectors along body axes, rad; (S, 3) for one body.
-
-        Raises
-        ------
-        ValueError
-            If the shapes do not broadcast, the saved times differ, or a matrix is not a rotation.
-        """
-        wanted = self._target(target)
-        between = arrays.quat_multiply(self.q * np.array([1, -1, -1, -1], self.q.dtype), wanted)
-        return arrays.quat_to_rotation_vector(between)
-
-    def body_axis(self, axis: Any) -> NDArray[Any]:
-        """Direction of a body axis at the saved times, along inertial axes.
-
-        Parameters
-        ----------
-        axis : array_like of shape (3,) or (N, 3)
-            A vector along body axes, of any length above zero, for all bodies or each.
-
-        Returns
-        -------
-        ndarray of shape (S, N, 3)
-            Unit vectors along inertial axes; (S, 3) for one body.
-
-        Raises
-        ------
-        ValueError
-            If the shape is another one, or if a vector is zero or not finite.
-        """
-        shapes = "(3,)" if self.one_body else f"(3,) or ({self.status.size}, 3)"
-        given = checks.array("axis", axis, shapes, flag=True).astype(self.q.dtype)
-        size = np.abs(given).max(axis=-1, keepdims=True)
-        checks.refuse("axis: its length", size, ~((size > 0.0) & np.isfinite(size)), "above 0")
-        return arrays.quat_rotate(self.q, arrays.normalised(given))
-
-    def _target(self, value: Any) -> NDArray[Any]:
-        """Quaternions of a target that broadcast against q, in its precision."""
-        if isinstance(value, Trajectory):
-            if not np.array_equal(value.t, self.t):
-                raise ValueError(
-                    "target: found a run with other saved times; accepted: the same times, or "
-                    "attitudes of fa.interpolate at run.t"
-                )
-            q = value.q[:, None] if value.one_body and not self.one_body else value.q
-        else:
-            q = arrays.as_quat("target", value)
-        shapes = zip(q.shape[::-1], self.q.shape[::-1], strict=False)
-        if q.ndim > self.q.ndim or any(a not in (1, b) for a, b in shapes):
-            raise ValueError(
-                f"target: has shape {q.shape}, q {self.q.shape}; accepted: shapes that broadcast "
-                "to that of q"
-            )
-        return q.astype(self.q.dtype, copy=False)
 
     def to_csv(self, path: str | Path) -> None:
         """Write a CSV file with a row for each save and body.
@@ -320,20 +215,44 @@ class Trajectory:
 
         return dataframe(self)
 
-    def to_aem(self, path: str | Path, **options: Any) -> None:
+    def to_aem(
+        self, path: str | Path, *, epoch: str | datetime, frame: str, **options: Any
+    ) -> None:
         """Write one body as an attitude ephemeris message (AEM) of the CCSDS.
 
         Parameters
         ----------
         path : str or Path
             The file.
+        epoch : str or datetime
+            Date and time of t = 0 of the run, in the TIME_SYSTEM of the metadata, which is UTC by
+            default: a ``datetime``, or text such as "2026-01-01T00:00:00". From this epoch t counts
+            every second, leap seconds of UTC included. "unix" states that t is Unix time, which
+            skips leap seconds.
+        frame : str
+            Name of the inertial frame in the standard, such as "EME2000" or "ICRF".
         **options : dict
-            Keyword arguments of :func:`fastatt.interchange.aem_of`; ``epoch`` and ``frame`` are
-            required.
-        """
-        from fastatt.interchange import aem_of
+            Any of these. ``body_frame``, by default "SC_BODY_1": name of the body frame in the
+            standard. ``body``: index of the body, required for an ensemble. ``version``: "2.0"
+            (CCSDS 504.0-B-2, the default) or "1.0" (504.0-B-1). ``attitude_type``: "QUATERNION",
+            "QUATERNION/DERIVATIVE", or with the angular velocity, the default, "QUATERNION/ANGVEL"
+            in version 2.0 and "QUATERNION/RATE" in 1.0. ``metadata`` and ``header``: mappings of
+            further keywords to text, such as ``{"OBJECT_NAME": "SAT-1"}``; OBJECT_NAME and
+            OBJECT_ID are "UNKNOWN" if they are not given.
 
-        aem_of(self, **options).write(path)
+        Raises
+        ------
+        ValueError
+            If an argument does not fit, the frame rotates (as ITRF and LVLH do) or is the body's,
+            ``body`` is missing for an ensemble, an attitude is not finite, or times are beyond 1e8
+            s from an epoch before 1972, such as 1970, which Unix time and elapsed seconds interpret
+            differently.
+        TypeError
+            If an argument has the wrong type.
+        """
+        from fastatt.interchange.aem import aem_of
+
+        aem_of(self, epoch=epoch, frame=frame, **options).write(path)
 
     def plot(self, path: str | Path, scene: Scene | None = None) -> None:
         """Plot attitude, angular velocity and errors of conserved quantities over time.
@@ -408,7 +327,7 @@ class Trajectory:
     def save_end(self, path: str | os.PathLike[str]) -> None:
         """Write the final state of the run to a file.
 
-        ``propagate(resume=path)`` continues from it. The file is written completely or not at all.
+        :func:`resume` continues from it. The file is written completely or not at all.
 
         Parameters
         ----------
@@ -418,14 +337,13 @@ class Trajectory:
         Raises
         ------
         ValueError
-            If the trajectory does not hold the final state as the run had it.
+            If the trajectory does not hold the final state as the run had it, or the path is a
+            directory.
+        TypeError
+            If ``path`` is not a path.
         """
         if self.end is None:
-            raise ValueError(
-                "end: this trajectory does not hold it; accepted: one of propagate by a method "
-                "that steps, with one step size, whole steps (t_end a multiple of dt) and without "
-                "save_at"
-            )
+            raise ValueError(f"save_end: found {NO_END}")
         self.end.save(path)
 
     @property

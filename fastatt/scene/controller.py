@@ -71,7 +71,8 @@ class QuaternionPD(Torque):
         if self.limit is None:
             made: Torque = _Feedback(k, c, self.target)
         else:
-            limit = _limit(f"{name}.limit", self.limit)
+            limit = models.along_axes(f"{name}.limit", self.limit)
+            limit = np.broadcast_to(limit, (*limit.shape[:-1], 3))
             made = _LimitedFeedback(k, c, self.target, limit)
         return made.pack(n_bodies, argument, resources)
 
@@ -130,16 +131,6 @@ def _check_signs(name: str, target: TimeSeries) -> None:
             f"{name}.target of row {row} changes its sign, or rotates by π or more, after sample "
             f"{k}; accepted: quaternions whose signs are continuous"
         )
-
-
-def _limit(name: str, value: Any) -> NDArray[np.float64]:
-    limit = models.numbers(name, value)
-    if limit.ndim > 2 or limit.shape[-1:] not in ((), (1,), (3,)):
-        raise ValueError(
-            f"{name} {checks.shape(limit)}; accepted: a number, (3,) per axis, (N, 1) or (N, 3) "
-            "per body"
-        )
-    return np.broadcast_to(limit, (*limit.shape[:-1], 3))
 
 
 def _gains(name: str, value: Any) -> NDArray[np.float64]:

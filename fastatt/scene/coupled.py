@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 from fastatt.attitudes import Attitude
 from fastatt.scene.equations import Body, EquationsOfMotion, Structure, motion_of
@@ -27,7 +27,7 @@ class Coupled(EquationsOfMotion):
         n = structure.turning.n_params
         self.inner = motion_of(structure.turning, attitude, p[:n], like)
         # stages are evaluated without low parts
-        self._stage = motion_of(structure.turning, attitude.plain, p[:n], like)
+        self.stage = motion_of(structure.turning, attitude.plain, p[:n], like)
         self._beside, self._force = structure.beside, structure.force
         self._states = structure.turning.law.states
         #: 1/μ and the parameters of the force; empty without a force
@@ -38,7 +38,12 @@ class Coupled(EquationsOfMotion):
     def evaluate_between(self, low: Any, high: Any) -> None:
         super().evaluate_between(low, high)
         self.inner.evaluate_between(low, high)
-        self._stage.evaluate_between(low, high)
+        self.stage.evaluate_between(low, high)
+
+    def near(self, x: Vector) -> Self:
+        found = super().near(x)
+        found.inner, found.stage = self.inner.near(x), self.stage.near(x)
+        return found
 
     def _split(self, x: Vector) -> tuple[Vector, Vector]:
         """The state of the rotation, and velocity, position and states as far as there are any."""
@@ -53,7 +58,7 @@ class Coupled(EquationsOfMotion):
     def _translation(self, force: Law, t: Any, a: Vector, beside: Beside) -> Vector:
         """v̇ along body axes and, if the position is propagated, ṙ along inertial axes."""
         v, r = beside.velocity, beside.position
-        q, w = self._stage.pose(t, a, beside)
+        q, w = self.stage.pose(t, a, beside)
         q = quat.renormalise(q)
         acting = force.formula(self.instant(t), q, w, *beside, self._numbers[1:])
         push = scale(self._numbers[0], as_like(tuple(acting), v[0]))

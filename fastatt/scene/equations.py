@@ -8,13 +8,14 @@ the formulas; the parameters are passed separately, as a flat tuple.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from copy import copy
+from functools import partial
+from typing import Any, NamedTuple, Self
 
-from fastatt._fork import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
 from fastatt.scene.torque_record import ALONE, Beside, Pose
-from fastatt.scene.torques import damping_rates, is_free
+from fastatt.scene.torques import damping_rates, is_free, wheels_of
 from fastatt.tracing.formulas import (
     Vector,
     as_like,
@@ -27,7 +28,6 @@ from fastatt.tracing.formulas import (
     rigid,
 )
 from fastatt.tracing.graph import choose
-from fastatt.tracing.user import UserFunction
 
 
 class PrescribedRate(NamedTuple):
@@ -87,9 +87,6 @@ class Structure(NamedTuple):
     force: Law | None = None
     #: whether the position is propagated
     position: bool = False
-    #: a user-defined function that accumulates ``reduced`` numbers for each body
-    reducer: UserFunction | None = None
-    reduced: int = 0
 
     @property
     def n_params(self) -> int:
@@ -112,7 +109,7 @@ class Structure(NamedTuple):
     @property
     def tail(self) -> int:
         """Size of the auxiliary state."""
-        return self.turning.tail + self.beside + self.reduced
+        return self.turning.tail + self.beside
 
 
 class EquationsOfMotion:
@@ -139,10 +136,19 @@ class EquationsOfMotion:
         low, high = self._between
         return choose(t < low, low, choose(t > high, high, t))
 
-    @cached_property
+    @property
     def plain(self) -> Attitude:
         """The attitude without low parts."""
         return self.attitude.plain
+
+    def near(self, x: Vector) -> Self:
+        """The equations less than π away from a state without low parts.
+
+        They are smooth also where an attitude is no rotation, as within a step of a matrix.
+        """
+        found = copy(self)
+        found.attitude = self.attitude.near(x[: self.plain.size])
+        return found
 
     def turned(self, x: Vector, u: Vector) -> Any:
         """An attitude rotated by a rotation vector."""
@@ -266,20 +272,22 @@ class Body(EquationsOfMotion):
         v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
         return tuple(a + a for a in v)
 
+    def _posed(self, a: Vector, w: Vector, beside: Beside) -> Pose:
+        wheels = partial(wheels_of, self.structure.law, self.torque_numbers)
+        return Pose(self.plain, a, w, self.moments, beside, self.axes_given, wheels)
+
     def torque(self, t: Any, a: Vector, w: Vector, beside: Beside = ALONE) -> Vector:
         """Torque (N·m, principal axes) at an attitude a, in its plain form, and a rate w.
 
         The time derivatives of the law's states follow.
         """
-        pose = Pose(self.plain, a, w, self.moments, beside, self.axes_given)
-        law = self.structure.law
+        pose, law = self._posed(a, w, beside), self.structure.law
         found = law.formula(self.instant(t), pose, self.torque_numbers, states=beside.states)
         return tuple(as_like(x, a[0]) for x in found)
 
     def updated_states(self, t: Any, a: Vector, m: Vector, beside: Beside) -> Vector:
         """The law's states after a sample time, at attitude a and momentum m without low parts."""
-        pose = Pose(self.plain, a, self.angular_velocity(m), self.moments, beside, self.axes_given)
-        law = self.structure.law
+        pose, law = self._posed(a, self.angular_velocity(m), beside), self.structure.law
         found = law.updated(self.instant(t), pose, self.torque_numbers, beside.states)
         return tuple(as_like(x, a[0]) for x in found)
 

@@ -9,13 +9,14 @@ import numpy as np
 from fastatt import checks
 from fastatt.scene.models import Number, PositiveNumber, TabledVector, Vector3
 from fastatt.scene.torque_record import ROUNDED, Dependence, Pose, Torque, check_unit
-from fastatt.tracing.formulas import dot, rigid, scale
+from fastatt.tracing.formulas import dot, plus, quat, rigid, scale, vec3
 from fastatt.tracing.graph import apply
 
 
 class GravityGradient(Torque):
     """Gravity-gradient torque τ = 3 n² o×(I o) in a circular orbit.
 
+    I is the inertia of the scene, with the moments of its :class:`ReactionWheels` about their axes.
     o is the direction from the planet to the body. At t = 0 it lies along ``radial``, and a quarter
     of an orbit later along ``along``.
 
@@ -46,60 +47,14 @@ class GravityGradient(Torque):
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
         o = pose.to_body(rigid.orbit_direction(t, self.mean_motion, self.radial, self.along))
-        return rigid.gravity_gradient(o, pose.moments, self.mean_motion)
-
-    def check(self, name: str) -> None:
-        _check_orbit(name, self.mean_motion, "radial", self.radial, self.along)
-
-
-class KeplerGravityGradient(Torque):
-    """Gravity-gradient torque τ = 3 n² (a/r)³ o×(I o) in an elliptic orbit.
-
-    o is the direction from the planet to the body. At periapsis it lies along ``periapsis``, and it
-    rotates towards ``along``.
-
-    Parameters
-    ----------
-    mean_motion : float or array_like of shape (N,)
-        Mean motion n, rad/s.
-    eccentricity : float or array_like of shape (N,)
-        Eccentricity, 0 to 0.9.
-    periapsis : array_like of shape (3,) or (N, 3), default (1, 0, 0)
-        Unit vector along inertial axes.
-    along : array_like of shape (3,) or (N, 3), default (0, 1, 0)
-        Unit vector along inertial axes, normal to ``periapsis``.
-    mean_anomaly : float or array_like of shape (N,), default 0.0
-        Mean anomaly at t = 0, rad.
-
-    References
-    ----------
-    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> torque = fa.torques.KeplerGravityGradient(mean_motion=1.1e-3, eccentricity=0.1)
-    """
-
-    mean_motion: Number
-    eccentricity: Number
-    periapsis: Vector3 = (1.0, 0.0, 0.0)
-    along: Vector3 = (0.0, 1.0, 0.0)
-    mean_anomaly: Number = 0.0
-    depends = Dependence.POSITION
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        anomaly = self.mean_motion * t + self.mean_anomaly
-        o, nearness = rigid.kepler_direction(anomaly, self.eccentricity, self.periapsis, self.along)
-        # n² a³/r³ in place of n²
-        rate = self.mean_motion * nearness * apply("sqrt", nearness)
-        return rigid.gravity_gradient(pose.to_body(o), pose.moments, rate)
+        return _gravity_gradient(o, self.mean_motion, pose)
 
     def check(self: Any, name: str) -> None:
-        e = self.eccentricity
-        checks.refuse(f"{name}.eccentricity", e, (e < 0.0) | (e > 0.9), "0 to 0.9")
-        _check_orbit(name, self.mean_motion, "periapsis", self.periapsis, self.along)
+        check_unit(f"{name}.radial", self.radial, self.mean_motion)
+        check_unit(f"{name}.along", self.along, self.mean_motion)
+        across = (np.clip(self.radial, -1.0, 1.0) * np.clip(self.along, -1.0, 1.0)).sum(axis=0)
+        off = (self.mean_motion != 0.0) & (np.abs(across) > ROUNDED)
+        checks.refuse(f"{name}.radial·along", across, off, "0, vectors at right angles")
 
 
 class GravityGradientAt(Torque):
@@ -128,7 +83,7 @@ class GravityGradientAt(Torque):
     axis_free = True
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return _gravity_gradient(self.position, self.gravitational_parameter, pose)
+        return _gravity_gradient_at(self.position, self.gravitational_parameter, pose)
 
 
 class CentralGravityGradient(Torque):
@@ -161,20 +116,21 @@ class CentralGravityGradient(Torque):
     reads_position = True
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return _gravity_gradient(pose.beside.position, self.gravitational_parameter, pose)
+        return _gravity_gradient_at(pose.beside.position, self.gravitational_parameter, pose)
 
 
-def _check_orbit(name: str, n: Any, first: str, out: Any, along: Any) -> None:
-    """Refuse an orbit of mean motion n that is not given by two orthogonal unit vectors."""
-    check_unit(f"{name}.{first}", out, n)
-    check_unit(f"{name}.along", along, n)
-    across = (np.clip(out, -1.0, 1.0) * np.clip(along, -1.0, 1.0)).sum(axis=0)
-    off = (n != 0.0) & (np.abs(across) > ROUNDED)
-    checks.refuse(f"{name}.{first}·along", across, off, "0, vectors at right angles")
-
-
-def _gravity_gradient(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
+def _gravity_gradient_at(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
     """The gravity-gradient torque at a position r, m, from a point mass, along inertial axes."""
     inverse = 1.0 / apply("sqrt", dot(r, r))
     rate = apply("sqrt", gravitational_parameter * inverse) * inverse
-    return rigid.gravity_gradient(pose.to_body(scale(inverse, r)), pose.moments, rate)
+    return _gravity_gradient(pose.to_body(scale(inverse, r)), rate, pose)
+
+
+def _gravity_gradient(o: Any, rate: Any, pose: Pose) -> Any:
+    """The gravity-gradient torque of body and wheels in a direction o from the planet."""
+    torque = rigid.gravity_gradient(o, pose.moments, rate)
+    for moment, axis in pose.wheels():
+        along = axis if pose.axes is None else quat.rotate_inverse(pose.axes, axis)
+        pull = scale(3.0 * rate * rate * moment * dot(along, o), along)
+        torque = plus(torque, vec3.cross(o, pull))
+    return torque

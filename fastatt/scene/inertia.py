@@ -13,6 +13,8 @@ from fastatt.arrays import dcm_to_quat, normalised, quat_multiply, quat_rotate_i
 _SHAPES = "(3,), (3, 3), (N, 3) or (N, 3, 3)"
 # two moments are equal if they differ by less than this share of the largest
 EQUAL = 1e-12
+# moments of a tensor below this share of the largest are its rounding
+_ROUNDING = 4e-15
 # off-diagonal pairs may differ by this share of the largest, by the rounding of computed tensors
 _ASYMMETRY = 1e-9
 # A body's largest moment is at most the sum of the others. Moments in use violate that: estimates
@@ -63,6 +65,9 @@ def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principa
         moments, columns = np.linalg.eigh(found)
         columns[..., 0] *= np.linalg.det(columns)[..., None]  # right-handed
         axes = dcm_to_quat(columns)
+        # a moment of 0 is one of either sign, to the rounding of the tensor
+        least = _ROUNDING * np.abs(moments).max(axis=-1, keepdims=True)
+        moments = np.where(np.abs(moments) < least, 0.0, moments)
     _check_moments(moments, allow_unphysical)
     return Principal(moments, axes)
 

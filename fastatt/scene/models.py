@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.user import FORMS, UserFunction, user_function
@@ -422,6 +422,17 @@ def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
     array = checks.numbers(name, value, "finite numbers")
     checks.finite(name, array)
     return array.astype(np.float64, copy=False)
+
+
+def along_axes(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A number or three, for all bodies or for each: (1,), (3,), (N, 1) or (N, 3)."""
+    array = numbers(name, value)
+    if array.ndim > 2 or not array.size or array.shape[-1:] not in ((), (1,), (3,)):
+        raise ValueError(
+            f"{name} {checks.shape(array)}; accepted: a number, (3,) per axis, (N, 1) or (N, 3) "
+            "per body"
+        )
+    return array if array.ndim else array[None]
 
 
 def row_count(n_bodies: int | None, rows: int) -> str:

@@ -6,7 +6,7 @@ angles in rad. The parameters of a model may be arrays with one row per body.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,12 +22,10 @@ class Rate(Model):
     """Base class of rates: ``formula(t)``, rad/s.
 
     With ``states`` it is ``formula(t, states)``, which returns their time derivatives after the
-    rate. The optional method ``bound()`` returns an upper bound of ``|w|``, rad/s, from fields that
-    are arrays (..., N).
+    rate.
     """
 
     kind = "rate"
-    bound: ClassVar[Any] = None
 
 
 class Constant(Rate):
@@ -48,9 +46,6 @@ class Constant(Rate):
 
     def formula(self: Any, t: Any) -> Any:
         return self.w
-
-    def bound(self: Any) -> Any:
-        return lengths(self.w.T)
 
 
 class Polynomial(Rate):
@@ -105,9 +100,6 @@ class Sinusoidal(Rate):
         waves = zip(self.bias, self.amplitude, self.frequency, self.phase, strict=True)
         return tuple(b + a * trig.sincos(f * t + phase)[0] for b, a, f, phase in waves)
 
-    def bound(self: Any) -> Any:
-        return lengths((np.abs(self.bias) + np.abs(self.amplitude)).T)
-
 
 class Coning(Rate):
     """Coning motion: the z axis sweeps a cone while the body does not rotate about it.
@@ -141,9 +133,6 @@ class Coning(Rate):
         k = 2.0 * self.frequency * a
         return -k * b * s, k * b * c, -k * a
 
-    def bound(self: Any) -> Any:
-        return np.abs(2.0 * self.frequency * np.sin(0.5 * self.angle))
-
 
 class Precession(Rate):
     """A rate of constant magnitude whose transverse part rotates in the body.
@@ -175,9 +164,6 @@ class Precession(Rate):
     def formula(self: Any, t: Any) -> Any:
         s, c = trig.sincos(self.frequency * t + self.phase)
         return self.transverse * c, self.transverse * s, self.axial
-
-    def bound(self: Any) -> Any:
-        return np.hypot(self.transverse, self.axial)
 
 
 class Slew(Rate):
@@ -213,9 +199,6 @@ class Slew(Rate):
         s, _ = trig.sincos(3.141592653589793 * x)
         return scale(2.0 * s * s / self.duration, self.rotation)
 
-    def bound(self: Any) -> Any:
-        return 2.0 * lengths(self.rotation.T) / self.duration
-
     def corners(self) -> Numbers:
         """Begin and end, if all bodies share them."""
         begin, duration = np.asarray(self.start), np.asarray(self.duration)
@@ -247,26 +230,6 @@ class Custom(UserModel, Rate):
     """
 
     states: int = 0  # type: ignore[misc]
-
-
-def lengths(v: NDArray[Any]) -> Numbers:
-    """Lengths of rows (N, 3), by a matrix product, since NumPy reduces short rows slowly."""
-    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
-
-
-def bound(law: Law, params: Numbers) -> Numbers | None:
-    """An upper bound of each body's ``|w|`` (rad/s) at any time; None if there is none.
-
-    ``params`` are flat, (P,) or (N, P).
-    """
-    p = np.atleast_2d(params)
-    if law.parts:
-        parts = [bound(part, own.T) for part, own in law.split(p.T)]
-        known = [part for part in parts if part is not None]
-        return np.sum(known, axis=0) if len(known) == len(parts) else None
-    if law.model.bound is None:
-        return None
-    return np.asarray(law.numbers(None, p.T).bound())
 
 
 def is_constant(law: Law) -> bool:

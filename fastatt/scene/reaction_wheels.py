@@ -38,7 +38,7 @@ class ReactionWheels(Torque):
     so that the angular momentum C (I w + Σ a_k h_k) of body and wheels is constant in inertial axes
     unless other torques act. ``inertia`` of the scene is I, the spacecraft's inertia **without**
     the moments of the wheels about their axes; ``body_inertia`` subtracts these from the inertia of
-    the whole spacecraft.
+    the whole spacecraft. Gravity-gradient torques beside the wheels act on the whole spacecraft.
 
     A run takes the initial values of the states as ``s0`` and returns the states as ``run.s``.
     ``momenta`` computes h from speeds, and ``speeds`` computes speeds from ``run.s``. With K wheels
@@ -84,7 +84,7 @@ class ReactionWheels(Torque):
         five times this speed and above, the friction is within 2 % of ``coulomb``. Steps must be
         shorter than the time in which a wheel passes this range.
     max_torque : array_like, optional
-        Largest torque of a motor, N·m, above 0. Commands that exceed it are cut off.
+        Largest torque of a motor, N·m, 0 for one that failed. Commands that exceed it are cut off.
     max_speed : array_like, optional
         Largest speed to which a motor accelerates its wheel, rad/s, above 0. Over the last
         hundredth of the range the accelerating torque falls linearly to 0.
@@ -138,49 +138,39 @@ class ReactionWheels(Torque):
     max_torque: Annotated[ArrayLike | None, Field((-1,))] = None
     max_speed: Annotated[ArrayLike | None, Field((-1,))] = None
 
+    def __post_init__(self) -> None:
+        name, command = "ReactionWheels", self.command
+        axes, _ = self._numbers(name)
+        self._sampling(name)
+        given = {
+            "params": self.params is not None,
+            "states": checks.whole(f"{name}.states", self.states, 0) > 0,
+            "period": self.period is not None,
+        }
+        if command is None or isinstance(command, models.Model):
+            found = "without command" if command is None else "beside a model"
+            for key in (key for key, is_given in given.items() if is_given):
+                raise ValueError(f"{name}.{key}: found {found}; accepted: with a function")
+        elif not callable(command):
+            raise TypeError(
+                f"{name}.command: found {checks.brief(command)}; accepted: a function "
+                f"{FORMS['command'].with_states(axes.shape[-2]).call} or a model of fastatt.torques"
+            )
+
     def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
         name = f"{argument}: ReactionWheels"
-        axes = self._unit_axes(name)
+        axes, columns = self._numbers(name)
         count = axes.shape[-2]
-        limits = {
-            key: getattr(self, key)
-            for key in ("max_torque", "max_speed")
-            if getattr(self, key) is not None
-        }
-        columns: dict[str, NDArray[np.float64]] = {
-            "axes": axes.reshape(*axes.shape[:-2], -1),
-            "inertia": _each(f"{name}.inertia", self.inertia, count, above_zero=True),
-            "viscous": _each(f"{name}.viscous", self.viscous, count),
-            "coulomb": _each(f"{name}.coulomb", self.coulomb, count),
-            "coulomb_speed": _each(
-                f"{name}.coulomb_speed", self.coulomb_speed, count, above_zero=True
-            ),
-            "max_torque": np.zeros(0),
-            "max_speed": np.zeros(0),
-            "distribution": np.zeros(0),
-            "params": np.zeros(0),
-        }
-        for key, value in limits.items():
-            columns[key] = _each(f"{name}.{key}", value, count, above_zero=True)
-        command, sampled = None, self._sampling(name)
-        own = checks.whole(f"{name}.states", self.states, 0)
+        columns["axes"] = axes.reshape(*axes.shape[:-2], -1)
+        columns |= {"distribution": np.zeros(0), "params": np.zeros(0)}
+        command, sampled, own = None, self._sampling(name), int(self.states)
         label = f"{name}.command"
-        if self.command is None or isinstance(self.command, models.Model):
-            found = "without command" if self.command is None else "beside a model"
-            for key in ("params", "states", "period"):
-                if getattr(self, key):
-                    raise ValueError(f"{name}.{key}: found {found}; accepted: with a function")
         if isinstance(self.command, models.Model):
             packed = models.pack(self.command, Torque, n_bodies, resources, argument=label)
             command, columns["params"] = packed.structure, packed.params
             inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
             columns["distribution"] = np.swapaxes(inverse, -1, -2).reshape(*axes.shape[:-2], -1)
         elif self.command is not None:
-            if not callable(self.command):
-                raise TypeError(
-                    f"{label}: found {checks.brief(self.command)}; accepted: a function "
-                    f"{FORMS['command'].with_states(count).call} or a model of fastatt.torques"
-                )
             given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
             if given.ndim > 2:
                 raise ValueError(f"{name}.params {checks.shape(given)}; accepted: (K,) or (N, K)")
@@ -217,10 +207,16 @@ class ReactionWheels(Torque):
         check_unit(f"{name}.axes", np.moveaxis(axes, -1, 0), 1.0)
         return np.asarray(axes / np.linalg.norm(axes, axis=-1, keepdims=True))
 
-    def _numbers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Unit axes (K, 3) or (N, K, 3), and inertia (K,) or (N, K)."""
-        axes = self._unit_axes("axes")
-        return axes, _each("inertia", self.inertia, axes.shape[-2], above_zero=True)
+    def _numbers(self, name: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+        """Unit axes (K, 3) or (N, K, 3), and numbers of each wheel (K,), (N, K), (0,) for none."""
+        axes = self._unit_axes(name)
+        columns = {"axes": axes}
+        for key in ("inertia", "viscous", "coulomb", "coulomb_speed", "max_torque", "max_speed"):
+            value, above_zero = getattr(self, key), key in ("inertia", "coulomb_speed", "max_speed")
+            columns[key] = np.zeros(0)
+            if value is not None or not key.startswith("max"):
+                columns[key] = _each(f"{name}.{key}", value, axes.shape[-2], above_zero=above_zero)
+        return axes, columns
 
     def momenta(self, speeds: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
         """Angular momenta of the wheels about their axes, h = J (Ω + a·w).
@@ -245,9 +241,9 @@ class ReactionWheels(Torque):
         >>> wheels.momenta(speeds=20.0, w=[0, 0, 0.5]).round(6)
         array([2.05])
         """
-        axes, inertia = self._numbers()
-        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
-        return np.asarray(inertia * (np.asarray(speeds, dtype=np.float64) + along))
+        axes, columns = self._numbers("ReactionWheels")
+        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, np.float64, order="C"))
+        return np.asarray(columns["inertia"] * (np.asarray(speeds, dtype=np.float64) + along))
 
     def speeds(self, s: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
         """Speeds of the wheels relative to the body, Ω = h/J − a·w.
@@ -271,9 +267,10 @@ class ReactionWheels(Torque):
         >>> wheels.speeds(s=[2.05], w=[0, 0, 0.5]).round(6)
         array([20.])
         """
-        axes, inertia = self._numbers()
-        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, dtype=np.float64))
-        return np.asarray(np.asarray(s)[..., : axes.shape[-2]] / inertia - along)
+        axes, columns = self._numbers("ReactionWheels")
+        along = np.einsum("...ki,...i->...k", axes, np.asarray(w, np.float64, order="C"))
+        momenta = np.asarray(s, order="C")[..., : axes.shape[-2]]
+        return np.asarray(momenta / columns["inertia"] - along)
 
     def momentum(self, s: ArrayLike) -> NDArray[np.float64]:
         """Angular momentum of all wheels along body axes, Σ a_k h_k.
@@ -294,8 +291,10 @@ class ReactionWheels(Torque):
         >>> fa.torques.ReactionWheels([[0, 0, 1], [1, 0, 0]], 0.1).momentum([2.0, 0.5])
         array([0.5, 0. , 2. ])
         """
-        axes = self._unit_axes("axes")
-        return np.asarray(np.einsum("...k,...ki->...i", np.asarray(s)[..., : axes.shape[-2]], axes))
+        axes = self._unit_axes("ReactionWheels")
+        return np.asarray(
+            np.einsum("...k,...ki->...i", np.asarray(s, order="C")[..., : axes.shape[-2]], axes)
+        )
 
     def body_inertia(self, inertia: ArrayLike) -> NDArray[np.float64]:
         """Subtract the moments of the wheels, Σ J_k a_k a_kᵀ, for ``inertia`` of the scene.
@@ -310,6 +309,11 @@ class ReactionWheels(Torque):
         ndarray, shape (3, 3) or (N, 3, 3)
             Tensors without the moments of the wheels about their axes, kg·m².
 
+        Raises
+        ------
+        ValueError
+            If a moment of the result is not above 0.
+
         Examples
         --------
         >>> import numpy as np
@@ -320,8 +324,11 @@ class ReactionWheels(Torque):
         """
         given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
         tensor = given if is_tensor(given) else given[..., None] * np.eye(3)
-        axes, moments = self._numbers()
-        return np.asarray(tensor - np.einsum("...k,...ki,...kj->...ij", moments, axes, axes))
+        axes, columns = self._numbers("ReactionWheels")
+        found = tensor - np.einsum("...k,...ki,...kj->...ij", columns["inertia"], axes, axes)
+        lowest = np.linalg.eigvalsh(found)[..., 0]
+        checks.refuse("inertia: its lowest moment without wheels", lowest, lowest <= 0.0, "above 0")
+        return np.asarray(found)
 
 
 class _Driven(Torque):
@@ -350,6 +357,9 @@ class _Driven(Torque):
     def reads_position(self) -> bool:  # type: ignore[override]
         """That of a command that is a model."""
         return isinstance(self.command, Law) and self.command.reads_position
+
+    def wheels(self: Any) -> Any:
+        return list(zip(self.inertia, self.axes, strict=True))
 
     def evaluate(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         count, body = len(self.inertia), pose.along_body

@@ -58,8 +58,8 @@ class SampledControl(Torque):
 
     Notes
     -----
-    A scene with a sampled controller refuses a negative ``dt``, ``fa.single_step`` and
-    ``device="cuda"``. Åström, Wittenmark, *Computer-Controlled Systems* (1997), §2.3.
+    A scene with a sampled controller refuses a negative ``dt`` and ``fa.single_step``. Åström,
+    Wittenmark, *Computer-Controlled Systems* (1997), §2.3.
 
     Examples
     --------
@@ -80,31 +80,35 @@ class SampledControl(Torque):
     states: int = 0  # type: ignore[misc]
     start: float = 0.0
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        name = f"{argument}: SampledControl"
-        period = checks.above_zero(f"{name}.period", self.period, "above 0, s")
-        start = checks.real(f"{name}.start", self.start)
+    def __post_init__(self) -> None:
+        name = "SampledControl"
+        checks.above_zero(f"{name}.period", self.period, "above 0, s")
+        checks.real(f"{name}.start", self.start)
         memory = checks.whole(f"{name}.states", self.states, 0)
-        control, is_model = self.control, isinstance(self.control, models.Model)
-        if is_model and (self.params is not None or memory):
-            raise ValueError(
-                f"{name}: found params or states beside a model; accepted: with a function"
-            )
-        if not is_model:
-            if not callable(control):
-                raise TypeError(
-                    f"{name}.control: found {checks.brief(control)}; accepted: a function "
-                    "torque(t, q, w, p) or a model of fastatt.torques"
+        if isinstance(self.control, models.Model):
+            if self.params is not None or memory:
+                raise ValueError(
+                    f"{name}: found params or states beside a model; accepted: with a function"
                 )
+        elif not callable(self.control):
+            raise TypeError(
+                f"{name}.control: found {checks.brief(self.control)}; accepted: a function "
+                "torque(t, q, w, p) or a model of fastatt.torques"
+            )
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        label = f"{argument}: SampledControl.control"
+        control: Any = self.control
+        is_model, memory = isinstance(control, models.Model), int(self.states)
+        if not is_model:
             control = Custom(control, self.params, states=memory)
-        label = f"{name}.control"
         law, params = models.pack(control, Torque, n_bodies, resources, argument=label)[:2]
         if is_model and law.states:
             raise ValueError(
                 f"{label}: found a model with {law.states} states; accepted: a model without "
                 "states, or a function with memory"
             )
-        held = _Held(None, law, Sampling(period, start), 3 + memory)
+        held = _Held(None, law, Sampling(float(self.period), float(self.start)), 3 + memory)
         return Law(held, (params.shape[-1],), (None,)), params
 
 

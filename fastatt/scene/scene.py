@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt._jit import plain
 from fastatt.kernels import rigid
 from fastatt.scene import forces, models, rates, torques
@@ -84,6 +84,10 @@ class Scene:
     -----
     A user-defined function is traced: it is called once with numbers that record its operations,
     which become part of the compiled loop (:attr:`functions` says whether that was possible).
+
+    q and −q are the same attitude. In the representation "quat" the quaternion that a function
+    receives changes continuously from ``q0`` on; in others its sign may be another one and jump. A
+    torque, force or event should be equal for both, such as ``q[0] * q[1]`` in place of ``q[1]``.
 
     If a torque or a force depends on the position, or if there are states, everything is stepped as
     one system, to the order of the method, by methods for which ``Method.couples`` is True.
@@ -393,7 +397,7 @@ def _kept(value: Any) -> Any:
         return tuple(value)
     if value is None or callable(value):
         return value
-    array = np.array(value)
+    array = np.array(value, order="C")
     array.setflags(write=False)
     return array if array.ndim else array.item()
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Double
 from fastatt.tracing.nodes import Recorded
@@ -29,6 +29,9 @@ Numbers = NDArray[np.float64]
 _FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
 _HEAD = 11
 _BUCKETS = 2**22
+# by which slopes from a polynomial may magnify the noise of values over the longer interval beside;
+# at the ends of equal intervals n values magnify less than 2^n
+_MAGNIFIED = 32.0
 # rounding of a run's time, which may end just beyond a table
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 
@@ -78,7 +81,8 @@ class TimeSeries:
     -----
     For samples h apart of a function whose derivatives are at most M2, M4 and M5, the error is at
     most h² M2/8 (linear) or h⁴ M4/384 + h⁵ M5/20 (cubic; without the second term if slopes are
-    given).
+    given). Where a quartic would magnify noise, since samples nearly coincide, the default slope is
+    that between the samples before and after.
 
     Steps of a run end at the samples of a "linear" or "previous" table that a model uses, and of
     the tables of ``torques.Rotor`` and ``torques.QuaternionPD``, as at ``breakpoints`` of the
@@ -242,20 +246,26 @@ class TimeSeries:
             found = tuple(tuple(map(float, x)) for x in self._of_arrays(*map(np.float64, numbers)))
         return tuple(x[0] for x in found) if self.scalar else found
 
-    def at(self, times: Numbers) -> Numbers:
+    def at(self, times: ArrayLike) -> Numbers:
         """Interpolate at many times.
 
         Parameters
         ----------
-        times : ndarray of shape (S,)
+        times : array_like of shape (S,)
             Times, s.
 
         Returns
         -------
         ndarray of shape (S, k) or (S, N, k)
             The interpolated numbers.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If ``times`` are no numbers, or of another shape.
         """
-        found = self._of_arrays(times[:, None], np.arange(float(self.rows)))[0]
+        given = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
+        found = self._of_arrays(given[:, None], np.arange(float(self.rows)))[0]
         return np.stack(found, axis=-1) if self.form.own else np.concatenate(found, axis=-1)
 
     def _of_arrays(self, t: Any, row: Any) -> Any:
@@ -354,7 +364,8 @@ def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
     """Derivatives (T, ...) of the polynomials through n values (T, ...) around each time.
 
     The n times are centred except near the ends (Berrut and Trefethen, *SIAM Review* 46 (2004),
-    equation 9.4).
+    equation 9.4). A polynomial through times that nearly coincide would magnify the noise of the
+    values: there the derivative is the slope between the two neighbours of the time.
     """
     itself = np.arange(len(t))
     first = np.clip(itself - (n - 1) // 2, 0, len(t) - n)
@@ -366,7 +377,13 @@ def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
     weights = barycentric / barycentric[itself, own][:, None] / gaps[itself, own]
     weights[itself, own] = 0.0
     weights[itself, own] = -weights.sum(axis=1)
-    return np.asarray(np.einsum("tn,tn...->t...", weights, values[places]))
+    found = np.einsum("tn,tn...->t...", weights, values[places])
+    before, after = np.maximum(itself - 1, 0), np.minimum(itself + 1, len(t) - 1)
+    reach = np.maximum(t - t[before], t[after] - t)
+    poor = ~(reach * np.abs(weights).sum(axis=1) <= max(_MAGNIFIED, 2.0**n))
+    a, b = before[poor], after[poor]
+    found[poor] = ((values[b] - values[a]).T / (t[b] - t[a])).T
+    return np.asarray(found)
 
 
 def _index(t: Numbers) -> Numbers:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.scene.models import (
@@ -18,9 +18,9 @@ from fastatt.scene.models import (
     TabledVector,
     UserModel,
     Vector3,
+    along_axes,
     resources_of,
 )
-from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence, Pose, Torque
 from fastatt.tracing.called import nested, points
 from fastatt.tracing.formulas import Vector, as_like, dot, minus, rigid, vec3
@@ -76,18 +76,34 @@ class ConstantInertial(Torque):
 
 
 class Damping(Torque):
-    """Linear damping τ = −c w.
+    """Linear damping τ_i = −c_i w_i.
 
     Parameters
     ----------
-    coefficient : float or array_like of shape (N,)
-        c, N·m·s.
+    coefficient : array_like
+        c, N·m·s: a number, or one for each body axis, (3,). One for each body is (N, 1) or (N, 3).
 
     Examples
     --------
     >>> import fastatt as fa
     >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(0.02))
     """
+
+    coefficient: Vector3
+    depends = Dependence.DAMPED
+
+    def decay(self) -> Any:
+        found = np.abs(np.asarray(self.coefficient, dtype=np.float64))
+        return found.max(axis=-1) if found.ndim else found
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        c = along_axes(f"{argument}: Damping.coefficient", self.coefficient)
+        damping: Torque = _DampingOfAxes(c) if c.shape[-1] == 3 else _EqualDamping(c[..., 0])
+        return damping.pack(n_bodies, argument, resources)
+
+
+class _EqualDamping(Torque):
+    """Damping with one coefficient for all axes."""
 
     coefficient: Number
     depends = Dependence.DAMPED
@@ -99,35 +115,22 @@ class Damping(Torque):
     def linear_damping(self) -> Any:
         return (self.coefficient,) * 3
 
-    def decay(self) -> Any:
-        return np.abs(self.coefficient)
 
+class _DampingOfAxes(Torque):
+    """Damping with a coefficient for each body axis."""
 
-class AxisDamping(Torque):
-    """Linear damping with a coefficient for each body axis, τ_i = −c_i w_i.
-
-    Parameters
-    ----------
-    coefficients : array_like of shape (3,) or (N, 3)
-        c_i, N·m·s.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> torque = fa.torques.AxisDamping((0.02, 0.02, 0.0))
-    """
-
-    coefficients: Vector3
+    coefficient: Vector3
     depends = Dependence.DAMPED
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return rigid.damping(pose.w, self.coefficients)
+        return rigid.damping(pose.w, self.coefficient)
 
     def linear_damping(self) -> Any:
-        return self.coefficients
+        return self.coefficient
 
-    def decay(self) -> Any:
-        return np.abs(np.asarray(self.coefficients)).max(axis=-1)
+
+# error messages name a model by its class
+_EqualDamping.__name__ = _DampingOfAxes.__name__ = Damping.__name__
 
 
 class QuadraticDamping(Torque):
@@ -250,54 +253,6 @@ class Rotor(Torque):
 
     def wheel_momentum(self) -> Any:
         return self.momentum
-
-
-class Sampled(Torque):
-    """A history of torques along body axes, linear between the samples.
-
-    The torque has a corner at each sample, and steps end there, as at ``breakpoints`` of the scene.
-    A step size that divides the interval adds no steps; any other adds one step for each sample.
-
-    Parameters
-    ----------
-    torques : array_like of shape (n, 3)
-        Torques, N·m, at the times start, start + dt, ...; one history for all bodies.
-    dt : float
-        Interval between the samples, s.
-    start : float, default 0.0
-        Time of the first sample, s.
-    outside : {"nan", "hold"}, default "nan"
-        The torque at other times, as in :class:`fastatt.TimeSeries`: NaN, which sets the status of
-        the body, or the nearest sample.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> pulse = fa.torques.Sampled([[0, 0, 0], [0, 0, 1.0], [0, 0, 0]], dt=0.5, outside="hold")
-    """
-
-    torques: ArrayLike
-    dt: float
-    start: float = 0.0
-    outside: str = "nan"
-
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        name = f"{argument}: Sampled"
-        samples = checks.array(f"{name}.torques", self.torques, "(n, 3)")
-        if len(samples) < 2:
-            raise ValueError(f"{name}.torques has 1 sample; accepted: at least 2")
-        dt = checks.above_zero(f"{name}.dt", self.dt, "above 0")
-        start = checks.real(f"{name}.start", self.start)
-        outside = checks.choice(f"{name}.outside", self.outside, ("nan", "hold"))
-        times = start + dt * np.arange(len(samples))
-        if not (np.diff(times) > 0.0).all():
-            raise ValueError(f"{name}.start: found {start}; accepted: such that dt can be added")
-        table = TimeSeries(times, samples, kind="linear", outside=outside)
-        return Constant(table).pack(n_bodies, argument, resources)
-
-    def corners(self) -> NDArray[np.float64]:
-        """Times of the samples."""
-        return np.asarray(self.start + self.dt * np.arange(np.shape(self.torques)[0]), np.float64)
 
 
 class Custom(UserModel, Torque):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene.models import Model
 from fastatt.tracing.formulas import Vector, quat
@@ -42,7 +43,8 @@ class Pose:
 
     ``beside`` has the quantities that are stepped with the attitude, with the velocity along body
     axes; ``axes`` is the quaternion of the principal axes, along which the pose is given, if these
-    are not the body axes.
+    are not the body axes. ``wheels()`` are (moment of inertia, axis along body axes) of reaction
+    wheels, which the principal moments do not contain.
     """
 
     def __init__(
@@ -53,9 +55,11 @@ class Pose:
         moments: Vector,
         beside: Beside = ALONE,
         axes: Vector | None = None,
+        wheels: Callable[[], Iterable[tuple[Any, Vector]]] = tuple,
     ) -> None:
         self._attitude, self._x = attitude, x
         self.w, self.moments, self.beside, self.axes = w, moments, beside, axes
+        self.wheels = wheels
 
     @cached_property
     def quaternion(self) -> Any:
@@ -86,7 +90,8 @@ class Torque(Model):
     of them in NumPy. ``lever()`` is (arm, pull), in body and in inertial axes, of a potential
     energy arm·Cᵀpull; a symmetric body with the arm on its axis has a closed form.
     ``wheel_momentum()`` is the angular momentum of wheels, N·m·s along body axes, of torques that
-    conserve the momentum of body and wheels together.
+    conserve the momentum of body and wheels together. ``wheels()`` is (moment of inertia, axis) of
+    each reaction wheel.
     """
 
     kind = "torque"
@@ -99,6 +104,7 @@ class Torque(Model):
     decay: ClassVar[Any] = None
     lever: ClassVar[Any] = None
     wheel_momentum: ClassVar[Any] = None
+    wheels: ClassVar[Any] = None
 
     def evaluate(self, *state: Any) -> Any:
         """The torque along the axes of a pose, from (t, pose) and the states, if there are any."""

@@ -17,14 +17,12 @@ from fastatt.scene.gravity_gradient import (
     CentralGravityGradient,
     GravityGradient,
     GravityGradientAt,
-    KeplerGravityGradient,
 )
 from fastatt.scene.models import Law, Packed, Resources, Sum
 from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.sampled_control import SampledControl
 from fastatt.scene.torque_models import (
     FREE,
-    AxisDamping,
     Constant,
     ConstantInertial,
     Custom,
@@ -33,7 +31,6 @@ from fastatt.scene.torque_models import (
     MagneticDipole,
     QuadraticDamping,
     Rotor,
-    Sampled,
 )
 from fastatt.scene.torque_record import Dependence, Pose, Torque
 from fastatt.tracing.formulas import Vector, plus
@@ -61,6 +58,13 @@ def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False)
         return None
     coefficients = law.numbers(None, p).linear_damping()
     return tuple(c / i for c, i in zip(coefficients, moments, strict=True))
+
+
+def wheels_of(law: Law, p: Vector) -> list[tuple[Any, Vector]]:
+    """(moment of inertia, axis) of each reaction wheel among the terms of a law."""
+    if law.parts:
+        return [wheel for part, own in law.split(p) for wheel in wheels_of(part, own)]
+    return [] if law.model.wheels is None else law.numbers(None, p).wheels()
 
 
 def is_free(law: Law) -> bool:
@@ -110,10 +114,9 @@ def pack(model: Any, n_bodies: int | None, resources: Resources | None = None) -
 
 
 __all__ = [
-    "AxisDamping", "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",
-    "GravityGradient", "GravityGradientAt", "HeavyTop", "KeplerGravityGradient", "MagneticDipole",
-    "QuadraticDamping", "QuaternionPD", "ReactionWheels", "Rotor", "Sampled", "SampledControl",
-    "Sum",
+    "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",
+    "GravityGradient", "GravityGradientAt", "HeavyTop", "MagneticDipole", "QuadraticDamping",
+    "QuaternionPD", "ReactionWheels", "Rotor", "SampledControl", "Sum",
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""User-defined functions that can't be traced: compiled by Numba, or called back in Python.
+"""User-defined functions that can't be traced: compiled by Numba.
 
 Also functions to try them in Python: arguments at a few points, and helpers that are not compiled.
 """
@@ -20,7 +20,6 @@ from numba import cfunc, types
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
-from fastatt import checks
 from fastatt._jit import recompile, with_options_of
 from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.nodes import Recorded
@@ -141,7 +140,7 @@ def _in_python(value: Any) -> Any:
     return value
 
 
-# compiled by Numba, or called back
+# compiled by Numba
 
 # colour sequences of terminals
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
@@ -149,31 +148,6 @@ _REAL = types.Float, types.Integer
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 #: the C type of a function at an address
 ENTRY = ctypes.CFUNCTYPE(None, _DOUBLES, _DOUBLES)
-
-
-def called_back(function: Callable[..., Any], user: UserFunction) -> Any:
-    """The function called back in Python, after a trial; an error there gives NaN."""
-    sizes, n = user.sizes, user.form.results
-    n_numbers = sum(max(k, 1) for k in user.form.before) + user.n_params
-    given = _result(function, user)
-    result = in_a_row(given, user.form)
-    if isinstance(result, tuple) != (n > 1) or not are_numbers(
-        result if isinstance(result, tuple) else (result,), n
-    ):
-        raise _wrong(user, checks.brief(given)) from None
-
-    def entry(given: Any, made: Any) -> None:
-        try:
-            result = function(*nested(given[:n_numbers], sizes))
-            values = floats(in_a_row(result, user.form))
-        except Exception:  # noqa: BLE001  # as of a compiled one
-            values = [math.nan] * n
-        for k, x in enumerate(values):
-            made[k] = x
-
-    made = ENTRY(entry)
-    made.address = ctypes.cast(made, ctypes.c_void_p).value  # type: ignore[attr-defined]
-    return made
 
 
 def _result(function: Callable[..., Any], user: UserFunction) -> Any:

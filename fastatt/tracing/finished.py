@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import chain
 from typing import Any
 
-from fastatt._fork import cached_property
 from fastatt.tracing.graph import Graph, number
 from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 
@@ -65,10 +63,6 @@ class Flat:
         found = cls.__new__(cls)
         found.nodes, found.results = _numbered(made, ends)
         return found
-
-    def first(self, n: int) -> Flat:
-        """The operations for the first n results."""
-        return Flat.of(dict(enumerate(self.nodes)), self.results[:n])
 
     def in_few_registers(self) -> Flat:
         """The graph in an order with few intermediate results at a time."""
@@ -160,20 +154,6 @@ def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node]
     place = {i: k for k, i in enumerate(sorted(live))}
     nodes = [renamed(made[i], [place[k] for k in operands(made[i])]) for i in place]
     return nodes, [place[i] for i in ends]
-
-
-@dataclass(frozen=True)
-class Forms:
-    """A step as a graph: the state after it, then its squared rotation angle if monitored."""
-
-    monitored: Flat
-    size: int
-
-    @cached_property
-    def plain(self) -> Flat:
-        """The state alone, to the same bits."""
-        whole = len(self.monitored.results) == self.size
-        return self.monitored if whole else self.monitored.first(self.size).in_few_registers()
 
 
 class Constants:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from fastatt.tracing.dual import Dual, mapped, value
 from fastatt.tracing.finished import Flat, resources_of
 from fastatt.tracing.graph import Condition, Graph, Number, choose, flattened
 from fastatt.tracing.nodes import TraceError
-from fastatt.tracing.source import function
 
 WIDEST = 64
 """Directions of dual numbers that go side by side."""
@@ -100,16 +99,18 @@ class Traced(NamedTuple):
 
 
 def trace(
-    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = ""
-) -> Traced:
+    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = "", *,
+    native: bool = False,
+) -> Traced:  # fmt: skip
     """Trace a formula for arguments of given forms; with ``widest`` 0 without lanes for directions.
 
-    ``kind`` is that of all results; by default each result has its own kind.
+    ``kind`` is that of all results; by default each result has its own kind. ``native`` is that of
+    the graph.
     """
     constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
     if isinstance(formula, Recurrence) and len(formula.table) > 1:
         return _recurring(formula, forms, constants, widest)
-    graph = Graph(widest)
+    graph = Graph(widest, native=native)
     form, flat = _ended(graph, formula(*_arguments(graph, forms)), constants, kind)
     return Traced(flat, form, _lanes((flat,)))
 
@@ -251,27 +252,3 @@ def _apart(graph: Graph, values: Sequence[Any], leaves: Sequence[_Leaf]) -> Flat
         numbers += [value(x), *(x.slopes if isinstance(x, Dual) else (0.0,) * leaf.slopes)]
         kinds += [leaf.kind] * (1 + leaf.slopes)
     return Flat(graph, numbers, kinds)
-
-
-# without a compiler
-
-
-def plain(traced: Traced, tables: Mapping[int, Any]) -> Callable[[Sequence[Any]], list[Any]]:
-    """The results from the arguments' numbers, for a formula that is traced without lanes."""
-    runs = [(function(flat, tables=tables), flat.inputs()) for flat in traced.flats]
-
-    def call(numbers: Sequence[Any]) -> list[Any]:
-        given: dict[str, Sequence[Any]] = {"x": numbers}
-
-        def done(k: int) -> list[Any]:
-            run, names = runs[k]
-            return list(run(*(given[group][i] for group, i in names)))
-
-        if traced.loop is not None:
-            state = given["s"] = done(0)
-            for given["row"] in traced.loop.table:
-                after = done(1)
-                state[: len(after)] = after
-        return done(-1)
-
-    return call

@@ -1,9 +1,9 @@
-"""User-defined rates, torques, forces, potentials and reducers: traced if possible, else called.
+"""User-defined rates, torques, forces, potentials and events: traced if possible, else called.
 
 A traced function is compared with its results in Python at a few points before it is used. A
 function that can't be traced is compiled by Numba and called for each body (``UserFunction.reason``
-says why); under ``NUMBA_DISABLE_JIT=1`` it is called back in Python. So is a traced function with
-very many operations, since each evaluation in a step would repeat them in the machine code.
+says why). So is a traced function with very many operations, since each evaluation in a step would
+repeat them in the machine code.
 """
 
 from __future__ import annotations
@@ -15,17 +15,15 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import config
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.tracing import functions, graph, source
 from fastatt.tracing.arrays import numbers_of
 from fastatt.tracing.called import (
     ENTRY,
     are_numbers,
-    called_back,
     compiled,
     floats,
     in_a_row,
@@ -87,7 +85,6 @@ FORMS = {
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
     "potential at position": Signature("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
-    "reducer": Signature("reducer(t, q, w, s)", (0, 4, 3), 0, "the next s"),
     "event": Signature("event(t, q, w, p)", (0, 4, 3), 1, "a number"),
     "event at position": Signature("event(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
 }
@@ -209,13 +206,12 @@ class UserFunction:
 
     @cached_property
     def _compiled(self) -> Any:
-        opaque = called_back if config.DISABLE_JIT else compiled
-        return opaque(self._function(), self)
+        return compiled(self._function(), self)
 
     @cached_property
     def _compiles(self) -> bool:
         """Whether a traced function can be compiled by Numba too, with the results of Python."""
-        if config.DISABLE_JIT or self._function() is None:
+        if self._function() is None:
             return False
         try:
             return _agree(self._asked, np.array([self(*point) for point in self._points]))

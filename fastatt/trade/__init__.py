@@ -1,1 +1,1 @@
-"""Speed and error of every method, on recordings and on known solutions; advice from both."""
+"""Speed and error of every method, measured; advice from the measurements."""

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
-from fastatt.attitudes import Attitude
 from fastatt.methods import Method
 from fastatt.propagation.breakpoints import corners_of
-from fastatt.propagation.choice_of_method import attitude_of, method_of
+from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.forcing import forcing
@@ -26,6 +25,10 @@ _SURE = 3  # the least number of halvings, to have a reference for the error
 # the largest difference by which an observed order may be below the declared one
 _SLACK = 0.5
 _STEPS = 2_000_000  # the most body-steps of a run of the check
+# ratio of changes by halving beyond which rounding does not limit the coarser run
+_CLEAR = 4.0
+# ratio of differences beyond which the steps do not resolve the motion
+_UNRESOLVED = 30.0
 
 
 class ConvergenceWarning(UserWarning):
@@ -43,8 +46,8 @@ class ConvergenceCheck:
     declared : int
         Declared order.
     order : float or None
-        Observed order; None if rounding hides it (``limited_by`` "round-off") or all steps were too
-        large (``limited_by`` "step").
+        Observed order; None if rounding hides it, in the run itself (``limited_by`` "round-off") or
+        in the one with half the step size ("truncation"), or if all steps were too large ("step").
     error : float
         Largest angle between the run and the finest one, rad, over the run or at its end.
     divided : int
@@ -58,8 +61,9 @@ class ConvergenceCheck:
     n_bodies : int
         Number of bodies in the ensemble.
     passed : bool
-        False if an order was observed that is below the declared one, or if a rate, torque or force
-        jumps where no breakpoint is declared.
+        False if an order was observed that is below the declared one, if a rate, torque or force
+        jumps where no breakpoint is declared, or if another step size that is no whole fraction of
+        ``dt`` gives another motion.
     """
 
     method: str
@@ -93,7 +97,7 @@ def check_convergence(
     dt: float,
     n_steps: int,
     method: str | Method | None = None,
-    representation: str | Attitude = "quat",
+    representation: str = "quat",
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
     t0: float = 0.0,
@@ -122,7 +126,7 @@ def check_convergence(
         Number of steps.
     method : str or Method, optional
         The method, as in :func:`fastatt.propagate`.
-    representation : str or Attitude, default "quat"
+    representation : str, default "quat"
         The representation, as in :func:`fastatt.propagate`.
     dtype : {float64, float32}, optional
         Precision, as in :func:`fastatt.propagate`.
@@ -151,8 +155,9 @@ def check_convergence(
     ConvergenceWarning
         If the observed order is below the declared one by more than 0.5: the method is wrong, or
         the rate, torque or force is not smooth, such as a sampled torque whose interval is not a
-        whole number of steps. Also if a rate, torque or force jumps between breakpoints, which is
-        looked for at many times along the motion.
+        whole number of steps. Also if a run whose steps are no whole fraction of ``dt`` differs,
+        since a vibration goes through whole cycles in each step. Also if a rate, torque or force
+        jumps between breakpoints, which is looked for at many times along the motion.
 
     Notes
     -----
@@ -176,7 +181,7 @@ def check_convergence(
     (4, True)
     """
     ensemble = Ensemble.of(as_scene(scene), q0, w0, v0, r0, s0)
-    record = method_of(scene, method, attitude_of(representation))
+    record = method_of(scene, method, representation)
     kind = checks.precision(dtype, q0, w0, v0, r0, s0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
@@ -193,7 +198,17 @@ def check_convergence(
     passed = declared == 0 or order is None or order >= declared - _SLACK
     jump = forcing(ladder.problem, ladder.case, count).jump if passed and record.is_stepped else ""
     worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
-    hidden = "step" if worst > LARGE else "round-off"
+    hidden = "truncation" if ladder.is_clear(_CLEAR) else "round-off"
+    apart = 0.0
+    if passed and record.is_stepped and ladder.worst() <= LARGE and not jump:
+        apart = float(ladder.apart().max())
+        passed = apart <= _UNRESOLVED * max(ladder.worst(), ladder.floor)
+        # at corners, which dt meets, the difference falls with more steps
+        passed = passed or float(ladder.apart(1.54).max()) < 0.7 * apart
+    if not passed and apart:
+        order, worst = None, max(worst, apart)
+    if worst > LARGE or (apart and not passed):
+        hidden = "step"
     check = ConvergenceCheck(
         method=record.name,
         declared=declared,
@@ -209,6 +224,13 @@ def check_convergence(
     if jump:
         # two step sizes may have the same error at a jump by chance
         warnings.warn(f"{check}; but {jump}", ConvergenceWarning, stacklevel=2)
+    elif apart and not passed:
+        warnings.warn(
+            f"{check}. A step size that is no whole fraction of dt gives another motion: the rate, "
+            "torque or force varies within a step; take smaller steps",
+            ConvergenceWarning,
+            stacklevel=2,
+        )
     elif order is not None and not passed:
         warnings.warn(
             f"{check}. Halving the step size divides the error by {2.0**order:.3g}, where order "

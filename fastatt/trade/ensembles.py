@@ -1,7 +1,8 @@
-"""Ensembles with known solutions: coning bodies, free bodies, heavy tops, bodies under torques."""
+"""Ensembles with known solutions: coning, free bodies, heavy tops, torques, sampled rates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -12,19 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between, euler313_to_quat, quat_multiply
-from fastatt.attitudes import ATTITUDES
 from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.rounding import noted
 from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
-from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case, Problem, Row, best_time, row_of, with_orders
 from fastatt.trade.reference import Confirmation, Reference, confirm, coning_attitudes, reference
-from fastatt.trade.work_precision import DTYPES, case_rows, cases_of
+from fastatt.trade.work_precision import case_rows, cases_of, fewest
 
-CONING = "coning"
-RATE, SAMPLES = "rate function", "samples"
+CONING, SAMPLES = "coning", "samples"
+_STEPS = 2.5  # a second, of the grid of ladders
+_SAMPLED = 64  # bodies, at most, whose rates are sampled
 # an inertial frame that is tilted, since 3-1-3 angles about the cone's axis are exact by accident
 TILT = (0.48, -0.6, 0.64, 0.0)
 TRIAXIAL = (2.0, 1.0, 2.0 / 3.0)
@@ -47,27 +47,42 @@ class Study:
     """An ensemble with a reference, and the end of another method that confirms it."""
 
     name: str
-    heading: str
+    title: str
     problem: Problem
     known: Reference
     check: Confirmation
 
+    def __str__(self) -> str:
+        n, t_end = self.problem.ensemble.size, self.problem.t_end
+        return f"{n} {self.title} over {t_end:g} s; reference: {self.known.source}; {self.check}"
+
+    def steps(self, case: Case, per_doubling: int) -> list[int]:
+        """Numbers of steps of a case's ladder, from the coarsest that it allows on.
+
+        They are those of one grid for all cases, with 2.5 steps a second, and so many more for each
+        doubling.
+        """
+        least = 1 if case.record.window else fewest(self.problem, case)
+        coarsest = _STEPS * self.problem.t_end
+        grid = [round(coarsest * 2.0 ** (k / per_doubling)) for k in range(-8, 14 * per_doubling)]
+        return [n for n in grid if n >= max(least, 4)]
+
     def rows(
-        self, cases: Sequence[Case], steps: Sequence[int], repeats: int, *, progress: bool = False
+        self, case: Case, steps: Sequence[int], repeats: int, seconds: float = math.inf
     ) -> list[Row]:
-        """Cases over a ladder of numbers of steps."""
-        source = RATE if self.name == CONING else self.name
-        found: list[Row] = []
-        with progress_bar(progress, len(cases), "method") as done:
-            for case in cases:
-                if case.record.window is None:
-                    measured = self.problem, self.known, self.check
-                    found += case_rows(source, *measured, case, repeats, steps=steps)
-                else:
-                    rows = [self._of_samples(case, n, repeats) for n in steps]
-                    found += with_orders(rows, case, case.record.order)
-                done(1)
-        return found
+        """A case in these numbers of steps, fewer if rounding dominates or the time is used up."""
+        if case.record.window is None:
+            return case_rows(
+                self.name, self.problem, self.known, self.check, case, repeats,
+                steps=steps, seconds=seconds,
+            )  # fmt: skip
+        rows: list[Row] = []
+        for n in steps:
+            rows = with_orders([*rows, self._of_samples(case, n, repeats)], case, case.record.order)
+            spent = sum(row.seconds_per_body for row in rows) * self.problem.ensemble.size * repeats
+            if seconds < math.inf and (rows[-1].plateau or spent > 0.5 * seconds):
+                break
+        return rows
 
     def _of_samples(self, case: Case, n: int, repeats: int) -> Row:
         """The row of a method for samples, from coning rates at the ends of n intervals."""
@@ -80,7 +95,7 @@ class Study:
             )
         status = "past the method's limit" if said else ""
         error = angle_between(q[:, -1], self.known.end.q)
-        return row_of(SAMPLES, case, t_end, n, seconds, error, status=status)
+        return row_of(self.name, case, t_end, n, seconds, error, status=status)
 
 
 # coning
@@ -126,7 +141,7 @@ def _aligned(scene: Scene, n_bodies: int) -> Ensemble:
 
 #: title, duration, s, and the bodies
 _ENSEMBLES: dict[str, tuple[str, float, Callable[[int], Ensemble]]] = {
-    CONING: ("coning bodies", 20.0, _coning),
+    CONING: ("coning bodies, their rates functions of time", 20.0, _coning),
     "free": ("free bodies", 10.0, partial(_aligned, BODY_SCENES["free"])),
     "top": ("heavy symmetric tops", 10.0, _tilted_tops),
     "torqued": (
@@ -134,34 +149,28 @@ _ENSEMBLES: dict[str, tuple[str, float, Callable[[int], Ensemble]]] = {
         10.0,
         partial(_aligned, BODY_SCENES["torqued"]),
     ),
+    SAMPLES: ("coning bodies, their rates sampled", 20.0, _coning),
 }
-#: descriptions of the inputs in the rows
-TITLES = {
-    RATE: "rate as a function of time",
-    SAMPLES: "rate as samples",
-    **{name: title for name, (title, *_) in _ENSEMBLES.items()},
-}
+SCENES = tuple(_ENSEMBLES)
 
 
 def study(name: str, n_bodies: int) -> Study:
-    """Coning bodies, or those of a name in ``BODY_SCENES``, with a confirmed reference."""
-    title, t_end, ensemble = _ENSEMBLES[name]
-    problem = Problem(ensemble(n_bodies), t_end)
-    known = reference(problem)
-    check = confirm(problem, known)
-    heading = f"{n_bodies} {title} over {t_end:g} s; reference: {known.source}; {check}"
-    return Study(name, heading, problem, known, check)
+    """The ensemble of a name in ``SCENES``, with a confirmed reference."""
+    bodies = problem(name, n_bodies)
+    known = reference(bodies)
+    return Study(name, _ENSEMBLES[name][0], bodies, known, confirm(bodies, known))
+
+
+def problem(name: str, n_bodies: int) -> Problem:
+    """The ensemble of a name in ``SCENES``, without a reference."""
+    _, t_end, ensemble = _ENSEMBLES[name]
+    # samples of more bodies would take memory and time, and tell nothing else
+    return Problem(ensemble(min(n_bodies, _SAMPLED) if name == SAMPLES else n_bodies), t_end)
 
 
 def cases(name: str) -> list[Case]:
-    """Every method of a study on several representations; single precision on quaternions only.
-
-    For coning bodies the methods for samples come last.
-    """
-    if name == CONING:
-        scene, stored = Scene(rate=rates.Coning(1.0, 1.0)), tuple(ATTITUDES)
-        sampled = [Case(method) for method in methods_for_samples()]
-    else:
-        scene, stored, sampled = BODY_SCENES[name], ("quat", "dcm"), []
-    given = cases_of(scene, None, stored, DTYPES)
-    return [c for c in given if c.dtype == "float64" or c.representation == "quat"] + sampled
+    """Every method of a study, on quaternions and on matrices; those for samples have no matrix."""
+    if name == SAMPLES:
+        return [Case(method) for method in methods_for_samples()]
+    scene = BODY_SCENES.get(name) or Scene(rate=rates.Coning(1.0, 1.0))
+    return cases_of(scene, None, ("quat", "dcm"), ("float64",))

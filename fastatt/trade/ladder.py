@@ -13,8 +13,8 @@ from fastatt.arrays import angle_between
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.trade.measure import Case, Problem
 
-#: rad; runs that differ by more show no order yet
-LARGE = 0.3
+#: rad; runs that differ by more show no order yet, and beyond all angles are alike
+LARGE, SATURATED = 0.3, 1.0
 # states of a run that are compared, at 16 to 1024 times
 _STATES = 2**20
 
@@ -85,6 +85,19 @@ class Ladder:
         self.sight = finer
         return self.changes[-1]
 
+    def apart(self, share: float = 0.77) -> NDArray[np.float64]:
+        """The difference of the finest run from one in some ``share`` of its steps, (N,) rad.
+
+        Its steps are no whole fraction of the others: a motion that goes through whole cycles in
+        each step of the others does not in its.
+        """
+        n = self.n_steps
+        first = max(1, round(share * n))
+        other = next(m for m in range(first, first + n + 2) if math.gcd(m, n) == 1)
+        times, rows = np.unique(self.sight.times, return_index=True)
+        run = self.problem.run(self.case, other, save_at=self.problem.t0 + times)
+        return largest_angle(self.sight.q[rows], run.q)
+
     @property
     def floor(self) -> float:
         """The difference of two runs, rad, that rounding explains."""
@@ -96,6 +109,14 @@ class Ladder:
     def worst(self, back: int = 1) -> float:
         """The largest of the last change, or of the one ``back`` before."""
         return float(self.changes[-back].max())
+
+    def is_clear(self, ratio: float) -> bool:
+        """Whether the first halving changed more than the others, so that rounding does not limit.
+
+        ``ratio`` is the least one of the changes.
+        """
+        first, *others = (float(change.max()) for change in self.changes)
+        return first > ratio * max(others)
 
     def slope(self, back: int = 1) -> float:
         """The order from the largest of two successive changes."""

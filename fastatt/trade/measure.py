@@ -9,7 +9,6 @@ import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,30 +18,28 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between
-from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
-from fastatt.codegen.rows import kind_of
-from fastatt.engine.job import Job
-from fastatt.engine.loop import WIDTH
+from fastatt.engine.job import WIDTH, Job
 from fastatt.engine.status import Status
+from fastatt.files import writing
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.drift import drift
+from fastatt.propagation.drift import Drift, drift
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.inspect_step import job_of
 from fastatt.propagation.propagate import propagate, threads_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.rounding import noted
 from fastatt.threads import default_threads
-from fastatt.trade.peak import peak
 
 if TYPE_CHECKING:
-    from fastatt import plots
+    from fastatt.plots import study
 
 _SAVES = 8  # saves at which the drift is measured
-DRAWN = ("quat", "dcm", "quat in float32")
 PLATEAU, REFERENCE = "round-off", "reference"
 # error of any attitude, in units of rounding
 _ROUNDED = 20.0
+# an error that rounding limits is better than another only by this factor
+_CLEAR = 4.0
 # s; of repeated runs over this time, one is undisturbed
 _ENOUGH = 0.03
 
@@ -50,11 +47,11 @@ _ENOUGH = 0.03
 class Case(NamedTuple):
     """What is measured: a method on a representation in a precision.
 
-    Method and representation are names, or user-defined ``Method`` and ``Attitude`` objects.
+    The method is a name or a custom method.
     """
 
     method: str | Method
-    representation: str | Attitude = "quat"
+    representation: str = "quat"
     dtype: str = "float64"
 
     @property
@@ -67,14 +64,8 @@ class Case(NamedTuple):
         """The method's name."""
         return self.record.name
 
-    @property
-    def stored_as(self) -> str:
-        """The representation's name."""
-        stored = self.representation
-        return stored.name if isinstance(stored, Attitude) else stored
-
     def __str__(self) -> str:
-        return f"{self.name} ({self.stored_as}, {self.dtype})"
+        return f"{self.name} ({self.representation}, {self.dtype})"
 
 
 class State(NamedTuple):
@@ -166,15 +157,14 @@ class Row:
     norm_error_max : float
         Largest ``||q| − 1|`` or ‖C Cᵀ − 1‖ over the run.
     energy_drift_max, momentum_drift_max : float or None
-        Largest relative drift; None if the scene does not conserve it.
+        Largest relative drift, of the angular momentum or of its component along a uniform field;
+        None if the scene does not conserve it.
     seconds_per_body : float
         Time for each body, s.
     steps_per_second : float
         Steps of all bodies in a second.
     operations : int or None
         Floating-point operations of a body's step; a fused multiply-add counts as two.
-    peak : float or None
-        Share of the machine's peak, that of a core times the threads.
     order : float or None
         Order from the row before.
     plateau : str
@@ -201,10 +191,20 @@ class Row:
     seconds_per_body: float
     steps_per_second: float
     operations: int | None
-    peak: float | None
     order: float | None = None
     plateau: str = ""
     status: str = ""
+
+    @property
+    def drift(self) -> float:
+        """The largest of the norm error and the drifts of energy and momentum."""
+        every = self.norm_error_max, self.energy_drift_max, self.momentum_drift_max
+        return max(x for x in every if x is not None)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the method is a closed form, which takes no steps."""
+        return self.method in METHODS and METHODS[self.method].is_exact
 
 
 def row_of(
@@ -217,16 +217,13 @@ def row_of(
     rate_error: NDArray[np.float64] | None = None,
     *,
     operations: int | None = None,
-    threads: int = 1,
     **measured: Any,
 ) -> Row:
     """The row of one run without its order, from errors (N,) and the time for all bodies."""
-    speed = error.size * n_steps / seconds
-    most = 0.0 if operations is None else threads * peak(kind_of(case.dtype))
     return Row(
         input=name,
         method=case.name,
-        representation=case.stored_as,
+        representation=case.representation,
         dtype=case.dtype,
         dt=t_end / n_steps,
         n_steps=n_steps,
@@ -236,9 +233,8 @@ def row_of(
         rate_error_median=None if rate_error is None else float(np.median(rate_error)),
         rate_error_max=None if rate_error is None else float(np.max(rate_error)),
         seconds_per_body=seconds / error.size,
-        steps_per_second=speed,
+        steps_per_second=error.size * n_steps / seconds,
         operations=operations,
-        peak=None if operations is None else operations * speed / most,
         **measured,
     )
 
@@ -262,19 +258,23 @@ def measure(
     kept = None if lost else drift(saved, problem.ensemble.scene)
     seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
     found = last_state(result)
+    energy, momentum = (None, None) if kept is None else (kept.energy, conserved_momentum(kept))
     return row_of(
         name, case, problem.t_end, n_steps, seconds,
         angle_between(found.q, end.q),
         None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
         operations=problem.operations(case),
-        threads=problem.threads(n_steps),
         norm_error_max=float(np.abs(saved.norm_error).max()),
-        energy_drift_max=None if kept is None or kept.energy is None else float(kept.energy.max()),
-        momentum_drift_max=(
-            None if kept is None or kept.momentum is None else float(kept.momentum.max())
-        ),
+        energy_drift_max=None if energy is None else float(energy.max()),
+        momentum_drift_max=None if momentum is None else float(momentum.max()),
         status=counted(result.status_counts()),
     )  # fmt: skip
+
+
+def conserved_momentum(measured: Drift) -> NDArray[Any] | None:
+    """The drift of the angular momentum, or of its component along a uniform field."""
+    whole = measured.momentum
+    return measured.momentum_along_field if whole is None else whole
 
 
 def counted(flags: Mapping[str, int]) -> str:
@@ -338,7 +338,6 @@ _COLUMNS: tuple[Column, ...] = (
     ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
     ("M steps/s", "steps_per_second", lambda x: f"{x / 1e6:.3g}"),
     ("ops/step", "operations", str),
-    ("% of peak", "peak", lambda x: f"{100.0 * x:.2g}"),
     ("status", "status", str),
 )
 
@@ -357,82 +356,71 @@ def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> st
 
 
 def frontier(rows: Iterable[Row]) -> list[Row]:
-    """The rows for which no row is better in both error and time, fastest first."""
+    """The rows for which no row is better in both time and largest error, fastest first.
+
+    Rows with a flag are left out. Where rounding limits one of two errors, only an error that is
+    smaller by a factor of 4 is better.
+    """
     best: list[Row] = []
-    finite = [r for r in rows if math.isfinite(r.error_median)]
-    for row in sorted(finite, key=lambda r: (r.seconds_per_body, r.error_median)):
-        if not best or row.error_median < best[-1].error_median:
+    sound = [r for r in rows if not r.status and math.isfinite(r.error_max)]
+    for row in sorted(sound, key=lambda r: (r.seconds_per_body, r.error_max)):
+        is_rounded = bool(best) and bool(row.plateau or best[-1].plateau)
+        margin = _CLEAR if is_rounded else 1.0
+        if not best or margin * row.error_max < best[-1].error_max:
             best.append(row)
     return best
 
 
-def panel(
-    title: str, t_end: float, rows: Sequence[Row], kinds: Sequence[str] = DRAWN
-) -> plots.Panel:
-    """A curve for each method and kind of ``DRAWN``, and the frontier of all curves.
+def panel(title: str, t_end: float, rows: Sequence[Row]) -> study.Panel:
+    """A curve of errors against times for each method.
 
-    Curves end where rounding limits the error. A method leads where it has a part of the frontier,
-    of all methods or of those that take steps.
+    Curves leave out rows with a flag, and end where rounding limits the error. A method leads where
+    it has a part of the frontier, of all methods or of those that take steps.
     """
-    from fastatt import plots
+    from fastatt.plots import study
 
-    drawn: dict[tuple[str, str], list[Row]] = {}
+    drawn: dict[str, list[Row]] = {}
     for row in rows:
-        kind = row.representation + " in float32" * (row.dtype == "float32")
-        if kind in kinds:
-            curve = drawn.setdefault((row.method, kind), [])
-            if not (curve and curve[-1].plateau):
-                curve.append(row)
+        curve = drawn.setdefault(row.method + " in float32" * (row.dtype == "float32"), [])
+        is_over = curve and curve[-1].plateau and 2.0 * row.error_max > curve[-1].error_max
+        if not (is_over or row.status) and math.isfinite(row.error_max):
+            curve.append(row)
     every = [row for curve in drawn.values() for row in curve]
-    best = frontier(every)
-    stepped = frontier(row for row in every if row.operations is not None)
-    leading = {row.method for row in (*best, *stepped)}
+    best = [*frontier(every), *frontier(row for row in every if not row.is_exact)]
+    curves = [
+        study.Curve(
+            name,
+            [row.seconds_per_body * 1e6 for row in curve],
+            [row.error_max for row in curve],
+            any(row in best for row in curve),
+        )
+        for name, curve in drawn.items()
+        if curve
+    ]
+    return study.Panel(title, f"time per body for {t_end:g} s of motion, µs", curves)
 
-    def curve_of(method: str, kind: str, curve: Sequence[Row]) -> plots.MethodCurve:
-        seconds, errors = zip(*((r.seconds_per_body, r.error_median) for r in curve), strict=True)
-        return plots.MethodCurve(method, kind, seconds, errors, method in leading)
 
-    curves = [curve_of(*name, curve) for name, curve in drawn.items()]
-    return plots.Panel(title, t_end, curves, curve_of("", "", best))
-
-
-def write_csv(path: Path, rows: Sequence[Any]) -> None:
+def write_csv(path: str | Path, rows: Sequence[Any]) -> None:
     """Rows of one dataclass with a line of names."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(rows[0])])
+    with writing("path", path, text="utf-8") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(rows[0])] if rows else [])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
 
 
-def machine() -> dict[str, str | int]:
-    """The machine and the versions on which figures were measured."""
+def machine_line() -> str:
+    """The machine and its threads, in one line."""
+    threads = f"{default_threads()} of {os.cpu_count() or 1} threads"
+    return f"{processor_line()}, {threads}, Python {platform.python_version()}"
+
+
+def processor_line(n_threads: int | None = None) -> str:
+    """The processor's name, after the number of threads where it is given."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
         lines = info.read_text().splitlines()
         names = [ln.split(":", 1)[1].strip() for ln in lines if ln.startswith("model name")]
         model = names[0] if names else model
-    return {
-        "processor": model,
-        "model": processor().name,
-        "threads": default_threads(),
-        "threads of the machine": os.cpu_count() or 1,
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        **{name: metadata.version(name) for name in ("numba", "numpy")},
-    }
-
-
-def machine_line() -> str:
-    """The machine and the peak of a core, in one line."""
-    m = machine()
-    threads = f"{m['threads']} of {m['threads of the machine']} threads"
-    most = f"a core's peak {peak('double') / 1e9:.3g} GFLOP/s"
-    return f"{processor_line()}, {threads}, {most}, Python {m['python']}"
-
-
-def processor_line(n_threads: int | None = None) -> str:
-    """The processor's name, after the number of threads where it is given."""
-    m = machine()
     threads = "" if n_threads is None else f"{n_threads} thread{'s' * (n_threads > 1)} of "
-    return f"{threads}{m['processor']} ({m['model']})"
+    return f"{threads}{model} ({processor().name})"

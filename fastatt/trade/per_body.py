@@ -1,8 +1,7 @@
-"""Per-body step sizes for a tolerance, from the bodies' rates and from runs of a sample."""
+"""Per-body step sizes for a tolerance, from runs of a sample of the bodies."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,26 +9,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.engine.loop import WIDTH
-from fastatt.methods import METHODS, Method
+from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.scene.rates import lengths
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.ladder import LARGE, largest_angle, times_compared
 from fastatt.trade.measure import Case, Problem
-from fastatt.trade.reference import Reference, reference
+from fastatt.trade.reference import Reference, reference, speeds
+from fastatt.trade.search import FINER, UNSEEN
 from fastatt.trade.work_precision import name_of, problem_over
 
-_CLASSES = 12  # classes of similar rates
-_TIMES, _EARLY = 64, 8  # times at which errors are measured: equally spaced, and early ones
+_SIZES = 16  # the most different step sizes
+_LEAST = 4  # steps
 _FIRST = 0.3  # rotation angle of a step in the first trial, rad
-_TRIALS, _LESS = 14, 6  # the most trials, and the most after one has met the tolerance
+_TRIALS = 14
 _GAIN = 0.95  # another trial is made if it may need fewer than this share of the steps
-_FINEST = 1e-15  # rad
 _ROUNDED = 1e-6  # rad; a larger error that does not fall with the step is not rounding
-_FINER = 30.0  # ratio of the tolerance and the reference's error
-_UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
 _AIM = 0.8  # share of the tolerance at which a trial aims
 
 
@@ -48,8 +43,8 @@ class PerBodySteps:
     t0 : float
         Time of the initial state, s.
     expected_error : float
-        Largest error, rad, of the bodies that were run with these steps, at 64 equally spaced times
-        and 8 early ones. It includes the error of the reference.
+        Largest error, rad, of the bodies that were run with these steps, at 64 times, which are
+        closer to each other at the start. It includes the error of the reference.
     measured : int
         Number of bodies that were run.
     n_bodies : int
@@ -101,7 +96,8 @@ def per_body_steps(
 ) -> PerBodySteps:
     """Find per-body step sizes for which the largest error over a run meets a tolerance.
 
-    It takes as long as some tens of runs of the sample.
+    There are at most 16 different ones. The search takes as long as some tens of runs of the
+    sample.
 
     Parameters
     ----------
@@ -114,8 +110,8 @@ def per_body_steps(
     t_end : float
         Duration, s, above 0.
     tol : float
-        Largest error of a body over the run, rad, at least 1e-15. If not all bodies are run, those
-        that are stay below it by a factor of 1.5, and others can exceed it.
+        Largest error of a body over the run, rad, above 0. If not all bodies are run, those that
+        are stay below it by a factor of 1.5, and others can exceed it.
     method : str or Method, optional
         A method that takes steps. The default is rk8, or else the first that fits.
     v0 : array_like of shape (3,) or (N, 3), optional
@@ -145,11 +141,10 @@ def per_body_steps(
 
     Notes
     -----
-    Bodies are grouped into classes of similar rates. Some of each class are run with the steps that
-    would be recommended, and their errors are measured against a reference, until none is above the
-    tolerance. The number of steps of a body is the smaller of two numbers that suffice for the
-    bodies of its class that were run: one for the class, and one that falls with the rate to the
-    power 1 + 1/order. Bodies that are stepped together take the largest of their numbers.
+    Bodies are divided into at most 16 groups of similar initial rates; each group has one step
+    size. Some bodies of each group, the fastest among them, are run with fewer and fewer steps, and
+    their errors are measured against a reference. The fewest steps whose errors met the tolerance
+    are returned.
 
     Examples
     --------
@@ -165,118 +160,77 @@ def per_body_steps(
         raise ValueError("scene: found a rate; accepted: with inertia")
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     whole = problem_over(ensemble, t_end, t0)
-    wanted = checks.real("tol", tol)
-    if not wanted >= _FINEST:
-        raise ValueError(f"tol: found {tol}; accepted: at least {_FINEST}, less is rounding")
+    tol = checks.above_zero("tol", tol)
     record = method_of(scene, method, "quat", need="is_stepped")
-    n = whole.ensemble.size
-    classes = _Classes(whole, record)
-    rows = classes.sample(checks.whole("sample", sample, 1), np.random.default_rng(rng))
-    rows = np.union1d(rows, ensemble.extremes)
-    problem = whole.take(rows)
-    known = reference(problem, most=times_compared("run", rows.size), goal=wanted / _FINER)
+    group = _groups(speeds(whole))
+    size, chance = checks.whole("sample", sample, 1), np.random.default_rng(rng)
+    rows = np.union1d(_sample(group, speeds(whole), size, chance), ensemble.extremes)
+    problem, within = whole.take(rows), tol if rows.size == group.size else tol / UNSEEN
+    known = reference(problem, most=times_compared("run", rows.size), goal=tol / FINER)
     known.refuse_jumps()
-    if float(known.own_error.max()) > 0.25 * wanted and not known.doubt:
-        raise _unmet(wanted, record, known.own_error)
-    known.refuse_beyond(wanted)
-    name = name_of(record, METHODS)
-    limit = wanted if rows.size == n else wanted / _UNSEEN
-    steps, error = _trials(problem, known, Case(name), classes, rows, limit)
+    known.refuse_beyond(tol)
+    case = Case(name_of(record))
+    fewest, error = _fewest(problem, known, case, group[rows], within)
+    steps = fewest[group]
     return PerBodySteps(
-        name, whole.t_end / steps, steps, whole.t0, error, rows.size, n, known.source,
-        float(steps.mean() / steps.max()),
+        case.method, whole.t_end / steps, steps, whole.t0, error, rows.size, group.size,
+        known.source, float(steps.mean() / steps.max()),
     )  # fmt: skip
 
 
-def _unmet(tol: float, method: Method, errors: NDArray[np.float64]) -> ValueError:
-    return ValueError(
-        f"tol: found {tol}; accepted: what {method.name} can meet, errors stay at "
-        f"{errors.max():.1e} rad"
-    )
+def _groups(rates: NDArray[np.float64]) -> NDArray[np.intp]:
+    """The group of each body: between equal ratios of the rates, from the slowest on."""
+    top = max(float(rates.max()), 1e-300)
+    # rates that are equal to rounding are in one group
+    edges = np.geomspace(np.clip(rates.min(), 1e-6 * top, 0.9 * top), top, _SIZES + 1)
+    return np.unique(np.digitize(rates, edges[1:-1]), return_inverse=True)[1]
 
 
-class _Classes:
-    """Bodies in classes of similar rates, so that the few fastest are in separate classes."""
-
-    def __init__(self, whole: Problem, method: Method) -> None:
-        n = whole.ensemble.size
-        rates = lengths(np.broadcast_to(np.asarray(whole.ensemble.w0, dtype=np.float64), (n, 3)))
-        self.rates = np.maximum(rates, rates.max(initial=0.0) * 1e-6 + 1e-300)
-        logs = np.log(self.rates)
-        width = max(float(np.ptp(logs)), 1e-12) / _CLASSES
-        self.of = np.minimum((logs - logs.min()) / width, _CLASSES - 1).astype(np.int64)
-        tops = np.zeros(_CLASSES)
-        np.maximum.at(tops, self.of, self.rates)
-        kind = whole.ensemble.scene.kind
-        power = 1.0 + 1.0 / method.order_of(kind)
-        #: the steps that a body's rate requires, as a share of those of its class's fastest body
-        self.share = (self.rates / tops[self.of]) ** power
-        limit = method.limit("quat", body=True, torqued=kind == "torqued")
-        self.least = np.maximum(1.0, self.rates * whole.t_end / limit)
-        self.first = np.maximum(4.0, tops[self.of] * whole.t_end / _FIRST)
-
-    def sample(self, n: int, chance: np.random.Generator) -> NDArray[np.intp]:
-        """Equally many bodies of each class, n in all, with the fastest of all; or all bodies."""
-        if n >= self.of.size:
-            return np.arange(self.of.size)
-        classes = [np.flatnonzero(self.of == k) for k in np.unique(self.of)]
-        each = max(1, n // len(classes))
-        chosen = [chance.choice(k, min(each, k.size), replace=False) for k in classes]
-        return np.unique(np.append(np.concatenate(chosen), self.rates.argmax()))
-
-    def steps(self, rows: NDArray[np.intp], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Steps that suffice for all bodies, from those that some rows need."""
-        flat, rising = np.zeros((2, _CLASSES))
-        np.maximum.at(flat, self.of[rows], wanted)
-        np.maximum.at(rising, self.of[rows], wanted / self.share[rows])
-        found = np.minimum(flat[self.of], rising[self.of] * self.share)
-        return np.asarray(np.maximum(found, self.least))
+def _sample(
+    group: NDArray[np.intp], rates: NDArray[np.float64], size: int, chance: np.random.Generator
+) -> NDArray[np.intp]:
+    """Equally many bodies of each group, ``size`` in all, with its fastest; or all bodies."""
+    if size >= group.size:
+        return np.arange(group.size)
+    members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
+    chosen = [chance.permutation(each)[: max(1, size // len(members))] for each in members]
+    fastest = [each[rates[each].argmax()] for each in members]
+    return np.unique(np.concatenate([*chosen, fastest]))
 
 
-def _by_tiles(enough: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole numbers of steps, equal for the bodies of a tile, which run together."""
-    steps: NDArray[np.int64] = np.ceil(enough - 1e-9).astype(np.int64)
-    order = np.argsort(-steps, kind="stable")
-    steps[order] = np.repeat(steps[order[::WIDTH]], WIDTH)[: steps.size]
-    return steps
-
-
-def _trials(
-    problem: Problem,
-    known: Reference,
-    case: Case,
-    classes: _Classes,
-    rows: NDArray[np.intp],
-    tol: float,
-) -> tuple[NDArray[np.int64], float]:
-    """The smallest numbers of steps that met the tolerance in a run, with their largest error."""
-    even = problem.t_end * np.arange(1, _TIMES + 1) / _TIMES
-    times = np.concatenate([even[0] * 0.5 ** np.arange(_EARLY, 0, -1), even])
+def _fewest(
+    problem: Problem, known: Reference, case: Case, group: NDArray[np.intp], tol: float
+) -> tuple[NDArray[np.intp], float]:
+    """The fewest steps of each group that met the tolerance in a run, with their largest error."""
+    times = problem.t_end * (np.arange(1, 65) / 64.0) ** 2
     exact, order = known.at(times), case.record.order_of(problem.ensemble.scene.kind)
-    enough = classes.steps(rows, classes.first[rows])
-    best: tuple[NDArray[np.int64], float] | None = None
-    errors, before = np.zeros(rows.size), math.inf
-    for trial in range(_TRIALS):
-        steps = _by_tiles(enough)
-        run = problem.run(case, steps[rows], save_at=problem.t0 + times)
+
+    def largest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = np.zeros(group.max() + 1)
+        np.maximum.at(found, group, values)
+        return found
+
+    n = np.ceil(largest(speeds(problem)) * problem.t_end / _FIRST + _LEAST - 1).astype(np.intp)
+    best, stayed, least, before = 0 * n, 0 * n, np.zeros(n.size), np.full(n.size, np.inf)
+    for _ in range(_TRIALS):
+        run = problem.run(case, n[group], save_at=problem.t0 + times)
         errors = largest_angle(run.q, exact) + known.own_error
-        errors = np.where(run.status != 0, np.pi, errors)
-        worst = float(errors.max())
-        met = worst <= tol
-        gained = met and (best is None or steps.sum() < _GAIN * best[0].sum())
-        if gained:
-            best = steps, worst
-        if best is not None and (trial >= _LESS or (met and not gained)):
-            break
-        # rounding: with more steps a truncation error would fall
-        if best is None and trial > 2 and 0.7 * before < worst < _ROUNDED:
-            break
-        before = worst
+        worst = largest(np.where(run.status != 0, np.pi, errors))
+        met = (worst <= tol) & ((best == 0) | (n < best))
+        best, least = np.where(met, n, best), np.where(met, worst, least)
+        # with more steps an error that is not rounding would fall
+        stays = (best == 0) & (0.7 * before < worst) & (worst < _ROUNDED)
+        stayed = np.where(stays, stayed + 1, 0)
         # neither large errors nor rounding errors have an order
-        change = np.where(errors > LARGE, 2.0, (errors / (_AIM * tol)) ** (1.0 / order))
-        enough = classes.steps(
-            rows, np.maximum(steps[rows] * np.minimum(change, 8.0), 0.5 * enough[rows])
+        change = np.where(worst > LARGE, 2.0, (worst / (_AIM * tol)) ** (1.0 / order))
+        further = np.ceil(np.maximum(n * np.clip(change, 0.5, 8.0), _LEAST)).astype(np.intp)
+        n = np.where(best == 0, np.maximum(further, n + n // 4 + 1), np.minimum(further, best))
+        before = worst
+        if stayed.max() > 1 or (best.all() and (n > _GAIN * best).all()):
+            break
+    if not best.all():
+        raise ValueError(
+            f"tol: found {tol}; accepted: what {case.name} can meet, errors stay at "
+            f"{worst[best == 0].max():.1e} rad"
         )
-    if best is None:
-        raise _unmet(tol, case.record, errors)
-    return best
+    return best, float(least.max())

@@ -49,8 +49,8 @@ class Recommendation:
     limited_by : {"truncation", "round-off", "reference"}
         "truncation" if a smaller step size would be more accurate, and "reference" if the error of
         the reference hides whether it would.
-    tol, budget : float or None
-        The arguments.
+    tol : float
+        The tolerance, rad.
     n_bodies : int
         Number of bodies.
     measured : int
@@ -60,7 +60,7 @@ class Recommendation:
     reference_error : float
         Error of the reference, rad.
     case : Case
-        The method and the representation, also user-defined ones.
+        The method, also a custom one, and the representation.
     """
 
     method: str
@@ -76,8 +76,7 @@ class Recommendation:
     runner_up: Point | None
     margin: float | None
     limited_by: str
-    tol: float | None
-    budget: float | None
+    tol: float
     n_bodies: int
     measured: int
     reference: str
@@ -90,7 +89,6 @@ class Recommendation:
         return {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
 
     def __str__(self) -> str:
-        wanted = f"tol {self.tol:g}" if self.tol is not None else f"budget {self.budget:g} s"
         how = f"{self.n_steps} steps of {self.dt:.6g} s on {self.n_threads} threads"
         where = "over the run" if self.at == "run" else "at the end"
         # a closed form in double precision is its own reference
@@ -98,10 +96,10 @@ class Recommendation:
         found = "estimated" if is_reference else "measured"
         over = f"{found} over {self.measured} of {self.n_bodies} bodies"
         lines = [
-            f"{self.case}: {how} ({wanted})",
+            f"{self.case}: {how} (tol {self.tol:g})",
             f"  error      {self.expected_error:.1e} rad at most {where}, {over}; limited by "
             + self.limited_by,
-            f"  time       {in_words(self.expected_seconds)}",
+            f"  time       {_in_words(self.expected_seconds)}",
         ]
         if self.runner_up is not None and self.margin is not None:
             up = self.runner_up
@@ -114,6 +112,6 @@ class Recommendation:
         return "\n".join(lines)
 
 
-def in_words(seconds: float) -> str:
+def _in_words(seconds: float) -> str:
     """A time in s or ms, as text."""
     return f"{seconds:.3g} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"

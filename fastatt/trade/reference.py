@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt._fork import cached_property
+from fastatt._cached import cached_property
 from fastatt.arrays import angle_between, quat_multiply
+from fastatt.closed_form import form_of
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import breaks_of, corners_within
 from fastatt.propagation.choice_of_method import methods_for
-from fastatt.propagation.closed_forms import form_of
 from fastatt.scene import rates
 from fastatt.trade.forcing import BREAKPOINTS, forcing
-from fastatt.trade.ladder import Ladder
+from fastatt.trade.ladder import SATURATED, Ladder
 from fastatt.trade.measure import Case, Problem, State
 
 # methods of high order with other formulas than those of the reference
@@ -100,7 +100,8 @@ class Reference:
         """Raise ``ValueError`` for a tolerance, rad, that the reference is not well below."""
         own = float(self.own_error.max())
         if own > 0.25 * tol:
-            why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else "that is rounding"
+            why = "that is rounding" if self.is_rounding else "it needs more steps than it takes"
+            why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else why
             raise ValueError(
                 f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
                 f"reference, has an error of {own:.1e} rad for some body: {why}"
@@ -228,6 +229,8 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
         # advice, which has a goal, refuses jumps
         if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
             break
+    if not settled and not doubt:
+        own = _sharper(ladder, own)
     name = f"{method} at {problem.t_end / ladder.n_steps:.4g} s"
     is_rounding = ladder.worst() <= ladder.floor or _is_magnified_rounding(ladder)
     return Reference(
@@ -240,16 +243,19 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
 
     It is the last change if two changes fell as the order predicts, or one did down to rounding, or
     two are rounding. Otherwise it is a multiple of the last three changes, since one may be small
-    by chance.
+    by chance; the earlier ones are divided by 4 and by 16, as they fall at least at corners.
     """
     changes, worst = ladder.changes, ladder.worst()
     slopes = [ladder.slope(back) for back in (1, 2)[: len(changes) - 1]]
-    fell = len(slopes) == 2 and slopes[1] >= _FITS * order
+    fell = len(slopes) == 2 and (
+        slopes[1] >= _FITS * order or (slopes[0] >= _FITS * order and ladder.worst(3) > SATURATED)
+    )
     if worst <= ladder.floor and (fell or ladder.worst(2) <= ladder.floor):
         return changes[-1], True, ""
-    if len(slopes) == 2 and min(slopes) >= _FITS * order:
+    if fell and slopes[0] >= _FITS * order:
         return changes[-1], worst <= goal, ""
-    own = _DOUBTED * np.max(changes[-3:], axis=0)
+    shares = [change / 4.0**k for k, change in enumerate(changes[:-4:-1])]
+    own = _DOUBTED * np.max(shares, axis=0)
     enough = len(changes) > 2 and (_is_magnified_rounding(ladder) or float(own.max()) <= goal)
     doubt = (
         f"halving its step size divides its error by {2.0 ** slopes[0]:.3g}, where order {order} "
@@ -258,6 +264,16 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
         "are a larger tol, a shorter t_end, or"
     )
     return own, enough, doubt
+
+
+def _sharper(ladder: Ladder, own: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The error of a finest run whose last change fell as its order predicts, (N,) rad.
+
+    A run with a few steps less has an error of the same size, while the last change is that of half
+    as many steps. If it differs by more than that change, the error is larger.
+    """
+    apart = ladder.apart()
+    return np.where(apart <= own, np.minimum(own, 2.0 * apart), _DOUBTED * apart)
 
 
 def _is_magnified_rounding(ladder: Ladder) -> bool:

@@ -1,22 +1,22 @@
-"""The whole study: tables on the screen, rows and pictures in a folder."""
+"""The whole study: one screen, a page, tables and pictures in a folder."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
+from time import perf_counter
 
 from fastatt import checks
-from fastatt.gyro.integrate import methods_for_samples
-from fastatt.logs import GyroLog, read_gyro_log
-from fastatt.threads import default_threads
-from fastatt.trade import ensembles, recordings
-from fastatt.trade.ensembles import BODY_SCENES, CONING
+from fastatt.files import writing
+from fastatt.threads import default_threads, progress_bar
+from fastatt.trade import ensembles, summary
+from fastatt.trade.ensembles import SCENES, Study
+from fastatt.trade.long_run import Drifted, long_run, panels
 from fastatt.trade.measure import (
     Case,
     Row,
-    frontier,
     machine_line,
     panel,
     processor_line,
@@ -24,70 +24,72 @@ from fastatt.trade.measure import (
     write_csv,
 )
 
-RECORDED = "recordings"
-SCENES = (RECORDED, CONING, *BODY_SCENES)
-DEFAULT_SCENES = (RECORDED, CONING)
-_QUICK_STEPS = (50, 100)
-_COARSEST, _RUNGS = 2.5, 6  # steps per second of the coarsest run, and runs of a ladder
-_DRAWN = ("quat", "dcm")
+# s for all that is measured, steps of long runs, their bodies, rungs of a ladder for each doubling
+_WHOLE = (100.0, 2**18, 32, 2)
+_QUICK = (12.0, 2**17, 8, 1)
+_USUAL = (
+    "rk4", "magnus4", "magnus6", "magnus8", "gauss12", "cf4", "strang2", "rk8", "gbs16", "dmv10",
+    "kahan_li8", "exact", "hold", "trapezoid", "previous", "coning2", "picard",
+)  # fmt: skip
 
 
 def run_trade(
     out: Path,
     *,
-    scenes: Sequence[str] = DEFAULT_SCENES,
+    scenes: Sequence[str] = SCENES,
     methods: Sequence[str] | None = None,
-    logs: Sequence[Path] | None = None,
-    n_bodies: int = 4096,
+    n_bodies: int = 512,
     quick: bool = False,
     progress: bool = False,
+    verbose: bool = False,
 ) -> None:
-    """Print the tables, and write the rows as CSV and the pictures to ``out``.
+    """Print one screen, and write a page, rows as CSV and pictures to ``out``.
 
-    ``scenes`` are names of ``SCENES``; ``methods`` are those to run, None for all. ``quick`` takes
-    two step sizes, quaternions and float64 only.
+    ``scenes`` are names of ``SCENES``; ``methods`` are those to run, None for all. ``quick`` runs
+    those that are usual, with fewer step sizes. ``verbose`` prints all rows too.
 
-    Raises ``ImportError`` if matplotlib or the recordings are missing, ``ValueError`` for a log
-    that can't be read or a method that fits no scene.
+    Raises ``ImportError`` if matplotlib is missing, ``ValueError`` for a method that fits no scene,
+    ``OSError`` if ``out`` can't be written to.
     """
     checks.whole("--bodies", n_bodies, 1)
     plan = _plan(scenes, methods, quick)
-    if logs is not None and RECORDED not in scenes:
-        raise ValueError(
-            f"--log: found with --scene {' '.join(scenes)}; accepted: with --scene {RECORDED}"
-        )
     if find_spec("matplotlib") is None:
-        raise ImportError("trade: needs matplotlib; pip install 'fastatt[plot]'")
-    open_folder(out)
-    read = []
-    if RECORDED in plan:
-        paths = recordings.find_recordings() if logs is None else logs
-        # the recordings are in rad/s, which their files do not say
-        unit = "rad/s" if logs is None else None
-        read = [read_gyro_log(path, unit=unit) for path in paths]
-    repeats = 1 if quick else 3
-    print(machine_line())
-    files = []
-    if RECORDED in plan:
-        files += _run_recordings(out, read, [c.name for c in plan[RECORDED]], repeats)
-    for stem, title, names in (
-        ("trade", "Ensemble of coning bodies", [CONING]),
-        ("bodies", "Ensembles of rigid bodies", BODY_SCENES),
-    ):
-        own = {name: plan[name] for name in names if name in plan}
-        if own:
-            files += _run_ensembles(out / stem, title, own, n_bodies, quick, progress)
-    print(f"\n{out}: {', '.join(files)}")
-
-
-def open_folder(out: Path) -> None:
-    """Make a folder for results before anything is measured.
-
-    Raises ``OSError`` if it is a file, or cannot be written to.
-    """
+        raise ImportError("trade: needs matplotlib; install it with pip install 'fastatt[plot]'")
     out.mkdir(parents=True, exist_ok=True)
-    with TemporaryFile(dir=out):
+    with TemporaryFile(dir=out):  # a folder that can't be written to is refused before the runs
         pass
+    seconds, n_steps, few, per_doubling = _QUICK if quick else _WHOLE
+    until = perf_counter() + seconds
+    rows: list[Row] = []
+    long: list[Drifted] = []
+    headings: dict[str, str] = {}
+    left = sum(map(len, plan.values()))
+    with progress_bar(progress, left, "method") as done:
+        for name, cases in plan.items():
+            study = ensembles.study(name, n_bodies)
+            headings[name] = str(study)
+            # a wide ensemble is for times, a few of its bodies for long runs
+            small = ensembles.problem(name, few)
+            for case in cases:
+                share = max(0.1, 0.7 * (until - perf_counter()) / left)
+                rows += study.rows(case, study.steps(case, per_doubling), 1, share)
+                if case.record.window is None:
+                    long += long_run(name, small, case, n_steps)
+                left -= 1
+                done(1)
+            _draw(out, study, rows, long)
+    where = f"{n_bodies} bodies, {machine_line()}"
+    write_csv(out / "trade.csv", rows)
+    write_csv(out / "drift.csv", long)
+    with writing("--out", out / "summary.md", text="utf-8") as file:
+        file.write(summary.page(where, headings, rows, long))
+    print(where)
+    if verbose:
+        for name, heading in headings.items():
+            print(f"\n{heading}\n{trade_table([row for row in rows if row.input == name])}")
+    print(summary.screen(rows, long))
+    pictures = "error-SCENE.png, drift-SCENE.png"
+    print(f"{out}: summary.md (how to read this), trade.csv, drift.csv, {pictures}")
 
 
 def _plan(
@@ -96,65 +98,29 @@ def _plan(
     """The cases of each scene, in the order of ``SCENES``."""
     for name in scenes:
         checks.choice("--scene", name, SCENES)
-    every = {name: ensembles.cases(name) for name in SCENES if name in scenes and name != RECORDED}
-    if RECORDED in scenes:
-        every[RECORDED] = [Case(name) for name in methods_for_samples()]
+    every = {name: ensembles.cases(name) for name in SCENES if name in scenes}
     fitting = dict.fromkeys(case.name for cases in every.values() for case in cases)
     for method in methods or ():
         checks.choice("--methods", method, fitting)
-    plan = {}
-    for name, cases in every.items():
-        plan[name] = [
-            case
-            for case in cases
-            if (methods is None or case.name in methods)
-            and (not quick or case == Case(case.method))
-        ]
+    wanted = methods or (_USUAL if quick else fitting)
+    plan = {name: [c for c in cases if c.name in wanted] for name, cases in every.items()}
     return {name: cases for name, cases in plan.items() if cases}
 
 
-def _run_recordings(
-    out: Path, logs: Sequence[GyroLog], methods: Sequence[str], repeats: int
-) -> list[str]:
-    from fastatt import plots
+def _draw(out: Path, study: Study, rows: Sequence[Row], long: Sequence[Drifted]) -> None:
+    """The pictures of one ensemble."""
+    from fastatt.plots import study as pictures
 
-    rows = [row for log in logs for row in recordings.log_rows(log, repeats, methods)]
-    print(f"\nRecordings\n{recordings.log_table(rows)}")
-    write_csv(out / "recordings.csv", rows)
-    departures = [recordings.departures(log, methods) for log in logs]
-    plots.recordings(departures, recordings.REFERENCE, out / "recordings.png")
-    return ["recordings.csv", "recordings.png"]
-
-
-def _run_ensembles(
-    path: Path,
-    title: str,
-    plan: Mapping[str, Sequence[Case]],
-    n_bodies: int,
-    quick: bool,
-    progress: bool,
-) -> list[str]:
-    """Print tables and frontiers; write rows as CSV and a picture with a panel for each input."""
-    from fastatt import plots
-
-    by_input: dict[str, list[Row]] = {}
-    for name, cases in plan.items():
-        study = ensembles.study(name, n_bodies)
-        print(f"\n{study.heading}", flush=True)
-        t_end = study.problem.t_end
-        ladder = [round(_COARSEST * t_end) * 2**k for k in range(_RUNGS)]
-        steps, repeats = (_QUICK_STEPS, 1) if quick else (ladder, 3)
-        found = study.rows(cases, steps, repeats, progress=progress)
-        print(trade_table(found))
-        for row in found:
-            by_input.setdefault(row.input, []).append(row)
-    panels = []
-    for source, rows in by_input.items():
-        print(f"\nFrontier, {ensembles.TITLES[source]}: the cheapest way to each error")
-        print(trade_table(frontier(rows)))
-        panels.append(panel(ensembles.TITLES[source], t_end, rows, _DRAWN))
-    table, picture = path.with_suffix(".csv"), path.with_suffix(".png")
-    write_csv(table, [row for rows in by_input.values() for row in rows])
-    where = f"{n_bodies} bodies, {processor_line(default_threads())}"
-    plots.work_precision(panels, f"{title}: error against time\n{where}", picture)
-    return [table.name, picture.name]
+    own = [row for row in rows if row.input == study.name]
+    drifts = [each for each in long if each.input == study.name]
+    n, t_end = study.problem.ensemble.size, study.problem.t_end
+    names = list(dict.fromkeys(row.representation for row in own))
+    drawn = [
+        panel(pictures.NAMES[name], t_end, [r for r in own if r.representation == name])
+        for name in names
+    ]
+    heading = f"{n} {study.title}: error against time\n{processor_line(default_threads())}"
+    pictures.work_precision(drawn, heading, out / f"error-{study.name}.png")
+    if drifts:
+        heading = f"{study.title}: drift against time"
+        pictures.drift(panels(drifts, names), heading, out / f"drift-{study.name}.png")

@@ -176,7 +176,7 @@ class Sample:
         scene = self.whole.ensemble.scene
         limit = math.inf
         if not (scene.is_constant and record.exact_for_constant):
-            limit = record.limit(case.stored_as)
+            limit = record.limit(case.representation)
         first = self.rounded(self.angle / (0.98 * limit))
         order = record.order_of(scene.kind)
         start = first if not order else max(first, self.rounded(max(self.angle / 0.5, 4.0)))

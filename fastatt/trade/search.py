@@ -1,4 +1,4 @@
-"""Search for the steps of each case that meet a tolerance, or that are the best within a time."""
+"""Search for the fewest steps of each case that meet a tolerance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from fastatt.trade.measure import PLATEAU, REFERENCE, Case, best_time
-from fastatt.trade.recommendation import Point, Recommendation, in_words
+from fastatt.trade.recommendation import Point, Recommendation
 from fastatt.trade.sample import Candidate, Sample
 
 SINGLE = 1e-6  # rad; float32 is never that accurate
@@ -20,7 +20,8 @@ _TRIALS = 10  # numbers of steps that are tried on bodies outside of the sample
 _MOST = 6e7  # the most body-steps of a trial, 2 or 3 s
 _SHORT = 0.05  # s; shorter runs are timed as a whole
 _WHOLE = 1.0  # s; in longer runs the time of a call is negligible
-_UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
+FINER = 30.0  # ratio of the tolerance and the reference's error
+UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
 
 
 def work(case: Case, tol: float) -> float:
@@ -47,7 +48,7 @@ _SECONDS = attrgetter("seconds")
 
 
 class Search(Sample):
-    """The fewest steps of each case that meet a tolerance, or the best within a time."""
+    """The fewest steps of each case that meet a tolerance."""
 
     def cheapest(
         self, cases: Sequence[Case], tol: float, done: Callable[[int], object]
@@ -87,34 +88,7 @@ class Search(Sample):
                 f"tol: found {tol:g}; accepted: what can be reached, {error:.1e} rad by {name} in "
                 f"{n} steps: the motion magnifies rounding, or the torque or rate has corners"
             )
-        return self._advise(sure, tol=tol)
-
-    def most_accurate(
-        self, cases: Sequence[Case], budget: float, done: Callable[[int], object]
-    ) -> Recommendation:
-        """The case with the smallest error in the time; of those within twice that, the fastest."""
-        met: list[_Run] = []
-        tried: list[Candidate] = []
-        least = math.inf
-        for case in sorted(cases, key=lambda c: (c.dtype == "float32", -(c.record.order or 99))):
-            done(1)
-            if case.dtype == "float32" and least < SINGLE:
-                continue
-            one = self.candidate(case)
-            tried.append(one)
-            n = self._within(one, budget, least)
-            if n is not None:
-                met.append(_Run(one, n, one.errors[n], self.sampled))
-                least = min(least, one.errors[n])
-        if not met:
-            fastest = min(tried, key=lambda one: one.seconds(one.first))
-            raise ValueError(
-                f"budget: found {budget:g} s; accepted: at least the "
-                f"{in_words(fastest.seconds(fastest.first))} that {fastest.case} takes in "
-                f"{fastest.first} steps"
-            )
-        near = [self._on_others(r.candidate, r.n) for r in met if r.error <= 2.0 * least]
-        return self._advise(near, budget=budget)
+        return self._advise(sure, tol)
 
     def _least(self, one: Candidate, tol: float, best: float) -> int | None:
         """About the smallest number of steps that meets the tolerance; None if none does."""
@@ -157,7 +131,7 @@ class Search(Sample):
         """Steps that suffice for the bodies outside the sample too."""
         for _ in range(_TRIALS):
             found = self._on_others(one, n)
-            wanted = tol if found.measured == self.whole.ensemble.size else tol / _UNSEEN
+            wanted = tol if found.measured == self.whole.ensemble.size else tol / UNSEEN
             if found.error <= wanted:
                 return found
             if not one.order:
@@ -172,30 +146,7 @@ class Search(Sample):
             n = further
         return None
 
-    def _within(self, one: Candidate, budget: float, least: float) -> int | None:
-        """The number of steps with the smallest error in the time, if it may be the least."""
-        most = one.first
-        if one.order:
-            most = int((0.95 * budget - one.fixed) / one.slope)
-            most -= most % self.unit(max(1, most))
-        if most < one.first or one.seconds(most) > budget:
-            return None
-        n = min(one.start, most)
-        self.error(one, n)
-        while n < most and not self._too_long(further := min(most, 2 * n)):
-            error = one.errors[n]
-            if error < 1.0 and error * (n / most) ** one.order > 4.0 * least:
-                return None
-            self.error(one, further)
-            if one.is_flat(n, further):
-                break
-            n = further
-        allowed = {n: e for n, e in one.errors.items() if n <= most and e < math.inf}
-        return min(allowed, key=lambda n: allowed[n]) if allowed else None
-
-    def _advise(
-        self, met: list[_Run], tol: float | None = None, budget: float | None = None
-    ) -> Recommendation:
+    def _advise(self, met: list[_Run], tol: float) -> Recommendation:
         """Time the best cases again, alternately, and determine what limits the first of them."""
         met.sort(key=_SECONDS)
         close = [one for one in met if one.seconds < _NEAR * met[0].seconds]
@@ -204,26 +155,18 @@ class Search(Sample):
             for i, one in enumerate(close):
                 timed[i] = min(timed[i], self._clock(one.candidate, one.n))
         (seconds, best), *rest = sorted(zip(timed, close, strict=True), key=lambda x: x[0])
-        while budget is not None and seconds > budget and best.candidate.order:
-            less = self.rounded(0.9 * best.n * budget / seconds)
-            less -= self.unit(less)
-            if less < best.candidate.first:
-                break
-            best = self._on_others(best.candidate, less)
-            seconds = self._clock(best.candidate, less)
         # the cases that were not timed again
         rest += [(one.seconds, one) for one in met[len(close) :]]
         up = next((Point(o.candidate.case, o.n, o.error, s) for s, o in rest if s >= seconds), None)
         found, n = best.candidate, best.n
         limit = "truncation" if self._gains(found, n) else self._floor(found, n)
         return Recommendation(
-            method=found.case.name, representation=found.case.stored_as, dtype=found.case.dtype,
-            dt=self.whole.t_end / n, n_steps=n, t0=self.whole.t0,
+            method=found.case.name, representation=found.case.representation,
+            dtype=found.case.dtype, dt=self.whole.t_end / n, n_steps=n, t0=self.whole.t0,
             n_threads=self.whole.threads(n), at=self.at,
             expected_error=best.error, expected_seconds=seconds, limited_by=limit,
             runner_up=up, margin=None if up is None else up.seconds / seconds,
-            tol=tol, budget=budget,
-            n_bodies=self.whole.ensemble.size, measured=best.measured,
+            tol=tol, n_bodies=self.whole.ensemble.size, measured=best.measured,
             reference=self.known.source, reference_error=float(self.known.own_error.max()),
             case=found.case,
         )  # fmt: skip

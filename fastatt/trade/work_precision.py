@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.attitudes import ATTITUDES, Attitude
+from fastatt.attitudes import ATTITUDES
+from fastatt.files import target
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.choice_of_method import attitude_of, fits, methods_for
+from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads, progress_bar
@@ -25,7 +24,6 @@ from fastatt.trade.measure import (
     Problem,
     Row,
     frontier,
-    machine,
     machine_line,
     measure,
     panel,
@@ -42,6 +40,7 @@ from fastatt.trade.reference import (
     reference,
     speeds,
 )
+from fastatt.trade.summary import BRIEF, TARGETS, closed_form, fastest
 
 DTYPES = ("float64", "float32")
 # |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
@@ -88,7 +87,10 @@ class WorkPrecision:
 
     @property
     def frontier(self) -> list[Row]:
-        """The rows for which no row is better in both time and median error, fastest first."""
+        """The rows for which no row is better in both time and largest error, fastest first.
+
+        Rows with a flag are left out, and differences by rounding do not count.
+        """
         return frontier(self.rows)
 
     def table(self) -> str:
@@ -102,12 +104,17 @@ class WorkPrecision:
         return trade_table(self.rows)
 
     def __str__(self) -> str:
+        exact = closed_form(self.rows)
+        best = [fastest(self.rows, target)[:1] for target in TARGETS]
+        shown = [*([exact] if exact else []), *(row for ranked in best for row in ranked)]
         return (
             f"{machine_line()}\n"
             f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
             f"{self.reference}, with an error of {self.reference_error:.1e} rad; "
             f"{self.confirmation}\n"
-            f"{self.table()}\n\nFrontier\n{trade_table(self.frontier)}"
+            f"{len(self.rows)} rows (table() has all); the fastest at "
+            f"{', '.join(f'{target:.0e}' for target in TARGETS)} rad:\n"
+            f"{trade_table(list(dict.fromkeys(shown)), BRIEF)}"
         )
 
     def plot(self, path: str | Path) -> None:
@@ -118,13 +125,21 @@ class WorkPrecision:
         path : str or Path
             The picture.
         """
-        from fastatt import plots
+        from fastatt.plots import study
 
         kind = self.rows[0].input
         title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s"
-        drawn = panel(title, self.t_end, self.rows)
-        heading = f"Error against time, {processor_line(self.n_threads)}"
-        plots.work_precision([drawn], heading, Path(path))
+        names = dict.fromkeys(row.representation for row in self.rows)
+        panels = [
+            panel(
+                study.NAMES.get(name, name),
+                self.t_end,
+                [r for r in self.rows if r.representation == name],
+            )
+            for name in names
+        ]
+        heading = f"{title}\n{processor_line(self.n_threads)}"
+        study.work_precision(panels, heading, target("path", path))
 
     def to_csv(self, path: str | Path) -> None:
         """Write the rows as CSV with a line of names.
@@ -134,20 +149,7 @@ class WorkPrecision:
         path : str or Path
             The file.
         """
-        write_csv(Path(path), self.rows)
-
-    def to_json(self, path: str | Path) -> None:
-        """Write the rows, the machine and the reference as JSON.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-        """
-        found = {"machine": machine(), **asdict(self)}
-        with Path(path).open("w", encoding="utf-8") as file:
-            json.dump(found, file, indent=1)
-            file.write("\n")
+        write_csv(path, self.rows)
 
 
 def work_precision(
@@ -161,7 +163,7 @@ def work_precision(
     s0: ArrayLike | None = None,
     t0: float = 0.0,
     methods: Sequence[str | Method] | None = None,
-    representations: Sequence[str | Attitude] = ("quat",),
+    representations: Sequence[str] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 1024,
     repeats: int = 3,
@@ -192,7 +194,7 @@ def work_precision(
         Time of the initial state, s.
     methods : sequence of str or Method, optional
         Methods to measure; the default is every method that fits.
-    representations : sequence of str or Attitude, default ("quat",)
+    representations : sequence of str, default ("quat",)
         Representations to measure.
     dtypes : sequence of str, default ("float64", "float32")
         Precisions to measure.
@@ -263,7 +265,7 @@ def work_precision(
 def cases_of(
     scene: Scene,
     methods: Sequence[str | Method] | None,
-    representations: Sequence[str | Attitude],
+    representations: Sequence[str],
     dtypes: Sequence[str],
 ) -> list[Case]:
     """Every valid combination of these methods, representations and precisions.
@@ -284,23 +286,21 @@ def cases_of(
     representations = checks.several("representations", representations, "representations")
     dtypes = checks.several("dtypes", dtypes, "float32 and float64")
     for rep in representations:
-        if not isinstance(rep, Attitude):
-            checks.choice("representations", rep, ATTITUDES)
+        checks.choice("representations", rep, ATTITUDES)
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
     wanted = [Case(method).record for method in tried]
-    stored = [attitude_of(rep) for rep in representations]
-    names = [record.name for record in wanted], [record.name for record in stored]
+    names = [record.name for record in wanted], list(representations)
     for argument, used in zip(("methods", "representations"), names, strict=True):
         for name, times in Counter(used).items():
             if times > 1:
                 raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
     found = [
-        Case(name_of(method, METHODS), name_of(attitude, ATTITUDES), dtype)
+        Case(name_of(method), representation, dtype)
         for method in wanted
-        for attitude in stored
+        for representation in representations
         for dtype in dtypes
-        if fits(method, scene, attitude)
+        if fits(method, scene, representation)
     ]
     if not found:
         raise ValueError(
@@ -310,9 +310,9 @@ def cases_of(
     return found
 
 
-def name_of(record: Method | Attitude, known: Mapping[str, object]) -> Any:
-    """The name of a method or representation of the library, or a user-defined record itself."""
-    return record.name if known.get(record.name) is record else record
+def name_of(record: Method) -> str | Method:
+    """The name of a method of the library, or a custom method itself."""
+    return record.name if METHODS.get(record.name) is record else record
 
 
 def problem_over(
@@ -362,16 +362,15 @@ def case_rows(
     steps: Sequence[int] | None = None,
     seconds: float = math.inf,
 ) -> list[Row]:
-    """The ladder of one case: with these steps, or until rounding dominates or the time is used up.
+    """The ladder of one case: these numbers of steps, or halved ones from the method's limit on.
 
-    The closed form has one row. If it is the reference itself, its error is measured against what
-    confirms it.
+    It ends where rounding dominates or the time is used up. The closed form has one row. If it is
+    the reference itself, its error is measured against what confirms it.
     """
     end = known.end
     if case.record.is_exact:
         end, steps = check.end, (1,)
-    angle = min(_COARSEST, 0.9 * case.record.limit(case.stored_as))
-    first = max(1, math.ceil(largest_rotation(problem) / angle))
+    first = fewest(problem, case)
     order = case.record.order_of(problem.ensemble.scene.kind)
     rows: list[Row] = []
     used, unresolved = 0.0, float(np.median(known.unresolved))
@@ -380,6 +379,12 @@ def case_rows(
         rows = with_orders(rows, case, order, unresolved)
         used += (repeats + 2) * rows[-1].seconds_per_body * problem.ensemble.size
         # the next run takes as long as all before it
-        if steps is None and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
+        if seconds < math.inf and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
             break
     return rows
+
+
+def fewest(problem: Problem, case: Case) -> int:
+    """The number of steps in which the fastest body rotates by 2 rad, or as the method allows."""
+    angle = min(_COARSEST, 0.9 * case.record.limit(case.representation))
+    return max(1, math.ceil(largest_rotation(problem) / angle))

@@ -5,25 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from each import each
-from exact import (
-    EPS,
-    START,
-    angle,
-    combinations,
-    conj,
-    exp,
-    generic,
-    matrix,
-    mul,
-    rotate,
-    steady,
-)
+from exact import EPS, START, angle, conj, exp, generic, matrix, mul, rotate, steady
 
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
 
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
-MATRICES = [(m, r) for m, r in combinations(exponential=True) if r != "quat"]
 COORDINATES = ["euler313", "rotation_vector"]
 REPRESENTATIONS = ["quat", "dcm", "dcm_rows", "mrp", *COORDINATES]
 N, H = 100, 0.02
@@ -41,7 +29,8 @@ def run(method, representation, n=N, h=H, scene=None, q0=START3, **options):
     )
 
 
-@each(("method", "representation"), MATRICES)
+@each("method", ["magnus4", "cf4"])
+@each("representation", ["dcm", "dcm_rows"])
 def test_matrices_equal_quaternions_to_round_off(method, representation):
     """The exponentials are the same: only rounding differs, a few ulps a step and exponential."""
     a, b = run(method, "quat"), run(method, representation)
@@ -79,11 +68,10 @@ def test_views_of_one_attitude_agree(representation):
     assert angle(q, traj.q).max() < 12 * EPS
 
 
-@pytest.mark.parametrize("representation", REPRESENTATIONS)
-@pytest.mark.parametrize("length", [1e-200, 1.0, 1e200])
+@each("representation", REPRESENTATIONS)
+@each("length", [1e-200, 1.0, 1e200])
 def test_initial_attitude_of_any_length(representation, length):
-    q0 = np.array([START, -START]) * length
-    traj = run("rk4", representation, n=0, q0=q0, scene=BODIES.shared)
+    traj = run("rk4", representation, n=0, q0=np.array([START, -START, START]) * length)
     assert angle(traj.q[-1], START).max() < 4 * EPS
 
 
@@ -110,7 +98,7 @@ def test_euler313_rates_have_the_stated_kinematics():
 # singularities
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-6, 1e-3, 0.02])
+@each("offset", [0.0, 1e-6, 1e-3, 0.02])
 def test_euler313_says_that_it_passed_its_singularity(offset):
     """θ falls through 0 at 1 rad/s, missing it by ``offset``."""
     q0 = fa.euler313_to_quat([[offset, 0.5, 0.0], [offset, 1.5, 0.0]])
@@ -124,7 +112,7 @@ def test_euler313_says_that_it_passed_its_singularity(offset):
     assert angle(traj.q[-1, 1], mul(q0[1], exp(w[1]))) < 1e-9
 
 
-@pytest.mark.parametrize("miss", [0.05, 0.1, 0.2, 0.4, 0.8])
+@each("miss", [0.05, 0.1, 0.2, 0.4, 0.8])
 def test_euler313_is_accurate_where_its_status_is_fine(miss):
     """Passing the pole at a distance: either flagged, or right to what the step size promises."""
     q0 = fa.euler313_to_quat([[0.0, 1.0, 0.0]])
@@ -141,11 +129,6 @@ def test_euler313_is_accurate_where_its_status_is_fine(miss):
         assert least < 0.1
 
 
-def test_start_on_the_pole_is_flagged():
-    traj = run("rk4", "euler313", 10, 0.01, steady([[0.3, 0.2, 0.1]]).scene, [[1.0, 0, 0, 0]])
-    assert traj.status[0] & (fa.Status.NON_FINITE | fa.Status.SINGULAR)
-
-
 def test_rotation_vector_is_flagged_at_a_whole_turn():
     """The vector's equation is singular at 2π; half a turn is as good as any."""
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
@@ -160,7 +143,7 @@ def test_rotation_vector_is_flagged_at_a_whole_turn():
 # the shadow set
 
 
-@pytest.mark.parametrize("method", ["rk4", "rk8", "rk9", "gbs16"])
+@each("method", ["rk4", "rk8"])
 def test_mrp_turn_over_and_over(method):
     """Tumbling bodies pass half a turn and whole ones in every way: none is flagged."""
     rng = np.random.default_rng(3)
@@ -179,9 +162,7 @@ def test_mrp_turn_over_and_over(method):
     assert error < (2.0 * usual if method == "rk4" else 1e-11)
 
 
-@pytest.mark.parametrize(
-    "start", [[0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0]]
-)
+@each("start", [[0.0, 1.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0]])
 def test_mrp_start_at_half_a_turn_and_a_whole_one(start):
     w = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.3, -0.5, 0.2]])
     traj = run("rk4", "mrp", 400, 0.01, steady(w).scene, np.tile(start, (3, 1)))
@@ -214,11 +195,10 @@ def test_a_step_of_mrp_at_the_limit_is_right_and_beyond_flagged(method):
 # inertial axes
 
 
-INERTIAL = [("magnus4", r) for r in ("quat", "dcm", "dcm_rows")]
-INERTIAL += [("rk4", r) for r in ("mrp", *COORDINATES)]
+INERTIAL = [("magnus4", "quat"), ("magnus4", "dcm"), *(("rk4", r) for r in REPRESENTATIONS[2:])]
 
 
-@pytest.mark.parametrize(("method", "representation"), INERTIAL)
+@each(("method", "representation"), INERTIAL)
 def test_rates_in_inertial_axes(method, representation):
     """q̇ = ½ w∘q against the reference of that equation."""
     scene = fa.Scene(rate=BODIES.model, frame="inertial")
@@ -234,27 +214,12 @@ def test_rates_in_inertial_axes(method, representation):
     assert np.abs(traj.w[-1] - w).max() < 20 * EPS
 
 
-@pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows"])
-def test_a_rate_fixed_in_inertial_axes_is_its_conjugate_in_the_body(representation):
-    """exp(wt)∘q0 = q0∘exp(w_b t) with w_b = q0*∘w∘q0: a constant rate is constant in both."""
-    w = np.array([[0.4, -1.1, 0.7], [0.0, 0.0, 2.0], [1.0, 0.3, -0.2]])
-    fixed = steady(w)
-    scene = fa.Scene(rate=fixed.model, frame="inertial")
-    inertial = run("magnus4", representation, scene=scene)
-    body = run("magnus4", representation, scene=steady(rotate(conj(START), w)).scene)
-    assert angle(inertial.q[-1], mul(exp(N * H * w), START)).max() < 4 * EPS * N
-    assert angle(inertial.q[-1], body.q[-1]).max() < 4 * EPS * N
-    assert np.abs(inertial.w[-1] - body.w[-1]).max() < 4 * EPS * N
-
-
 TENSOR = fa.Scene(inertia=[[2.0, 0.2, 0.1], [0.2, 1.5, -0.1], [0.1, -0.1, 1.0]])
 CONE = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
 
 
-@pytest.mark.parametrize("representation", fa.METHODS["rk8"].representations)
-@pytest.mark.parametrize(
-    ("scene", "w0", "method"), [(CONE, None, "gauss12"), (TENSOR, (0.3, 0.2, 0.5), "rk8")]
-)
+@each("representation", ["dcm", "mrp", "euler313"])
+@each(("scene", "w0", "method"), [(CONE, None, "gauss12"), (TENSOR, (0.3, 0.2, 0.5), "rk8")])
 def test_rotations_are_composed_in_the_order_of_quaternions(scene, w0, method, representation):
     """After the attitude: a step of gauss12, and principal axes of a full tensor."""
     q0 = [0.8, 0.3, 0.4, -0.2]
@@ -262,3 +227,14 @@ def test_rotations_are_composed_in_the_order_of_quaternions(scene, w0, method, r
     found = fa.propagate(scene, q0, w0, representation=representation, **given)
     expected = fa.propagate(scene, q0, w0, **given)
     assert fa.angle_between(found.q[-1], expected.q[-1]) < 1e-13
+
+
+def test_closed_form_in_any_representation():
+    scene = fa.Scene(inertia=[[0.6, 0.8, 1.0], [0.8, 1.0, 0.6], [0.7, 0.9, 1.0], [1.0, 1.0, 0.6]])
+    start = np.tile(START, (4, 1)), (0.9, -0.4, 1.2)
+    given = {"dt": 0.7, "n_steps": 3, "method": "exact"}
+    usual = fa.propagate(scene, *start, **given)
+    for name in REPRESENTATIONS:
+        found = fa.propagate(scene, *start, representation=name, **given)
+        assert angle(found.q[-1], usual.q[-1]).max() < 16 * EPS
+        assert (found.state.shape[-1], found.representation) == (ATTITUDES[name].stored, name)

@@ -14,7 +14,6 @@ from fastatt.codegen import lanes
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import RowFunction, rows
-from fastatt.propagation import closed_form, closed_forms
 from fastatt.tracing import formulas, functions, graph
 
 RNG = np.random.default_rng(5)
@@ -135,14 +134,6 @@ def test_one_row_does_not_harm_others(bad):
     assert np.isnan(found[0][[3, 29]]).all()
 
 
-def test_many_columns():
-    """More of them than are copied one by one."""
-    made = RowFunction(lambda x, p: [a * x + 1.0 for a in p], {"x": None, "p": 40}, (33, 7))
-    p = RNG.normal(size=(70, 40))
-    first, second = made(3.0, p)
-    assert np.allclose(np.concatenate([first, second], axis=1), 3.0 * p + 1.0, rtol=1e-15)
-
-
 # what a function finds in memory
 
 
@@ -164,9 +155,7 @@ class Opaque:
         return b, 10.0 * a
 
 
-@pytest.mark.parametrize("compiler", [True, False])
-def test_opaque_functions_and_tables(compiler, monkeypatch):
-    monkeypatch.setattr(module, "without_compiler", lambda: not compiler)
+def test_opaque_functions_and_tables():
     swap = Opaque()
 
     def looked_up(x):
@@ -187,7 +176,7 @@ def test_opaque_functions_and_tables(compiler, monkeypatch):
 # what is kept
 
 
-def test_made_once():
+def test_made_once(monkeypatch):
     same = rows(blend, SHAPE, OUTPUTS)
     assert rows(blend, dict(SHAPE), list(OUTPUTS)) is same
     assert rows(blend, SHAPE, OUTPUTS, "single") is not same
@@ -197,20 +186,10 @@ def test_made_once():
         return rows(lambda x: x * factor, {"x": None}, (None,), key=("times", factor))
 
     assert doubled(2.0) is doubled(2.0)
-    assert doubled(2.0)(1.5)[0] == 3.0
-    assert doubled(3.0)(1.5)[0] == 4.5
-
-
-def test_traced_and_compiled_once(monkeypatch):
-    calls = []
-    compiled = module.lane_function
+    assert [doubled(x)(1.5)[0] for x in (2.0, 3.0)] == [3.0, 4.5]
+    calls, compiled = [], module.lane_function
     monkeypatch.setattr(module, "lane_function", lambda *a: calls.append("c") or compiled(*a))
-
-    def half(x):
-        calls.append("t")
-        return x * 0.5
-
-    made = RowFunction(half, {"x": None}, (None,))
+    made = RowFunction(lambda x: calls.append("t") or x * 0.5, {"x": None}, (None,))
     assert calls == []
     for n in (1, 5, 100):
         made(np.ones(n))
@@ -227,32 +206,6 @@ def test_the_module_does_not_depend_on_addresses(monkeypatch):
         with pytest.raises(AttributeError, match="address"):
             made_now(np.ones(2))
     assert operator.eq(*made)
-
-
-# without a compiler
-
-
-@pytest.mark.parametrize("kind", TYPES)
-@pytest.mark.parametrize("leads", [((), (), ()), ((9,), (9,), (9,)), ((2, 1, 4), (3, 1), (4,))])
-def test_in_python(kind, leads, monkeypatch):
-    monkeypatch.setattr(module, "without_compiler", lambda: True)
-    monkeypatch.setattr(module, "lane_function", None)
-    assert_as_numpy(kind, given(*leads, TYPES[kind]))
-
-
-@pytest.mark.parametrize("tensors", [False, True])
-def test_closed_form_in_python(tensors, monkeypatch):
-    q0, w0, _ = given((6,), (6,))
-    inertia = RNG.uniform(0.5, 0.9, (6, 3))
-    if tensors:
-        inertia = np.einsum("ni,ij->nij", inertia, np.eye(3)) + 0.05
-    t = np.linspace(-2.0, 3.0, 7)
-    compiled = closed_form.free_body(q0, w0, inertia, t)
-    monkeypatch.setattr(closed_forms, "without_compiler", lambda: True)
-    monkeypatch.setattr(closed_forms, "lane_function", None)
-    q, w = closed_form.free_body(q0, w0, inertia, t)
-    assert np.abs(q - compiled[0]).max() <= 4e-15
-    assert np.abs(w - compiled[1]).max() <= 1e-14
 
 
 # refusals

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import linecache
 import os
 import signal
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.propagation.drift_statistics import Measure
 
 N = 70
 RNG = np.random.default_rng(4)
@@ -25,6 +24,10 @@ FALLING = fa.Scene(inertia=(2.0, 1.5, 1.0), mass=2.0, force=fa.forces.Drag(0.2))
 LATE = fa.Scene(
     inertia=(2.0, 1.5, 1.0), torque=lambda t, q, w, p: (p[0] * t, 0.0, 0.1 * t), params=(0.3,)
 )
+LAGGED = fa.Scene(
+    inertia=(2.0, 1.5, 1.0), states=1, torque=lambda t, q, w, s, p: ((s[0], 0.0, 0.0), w[0] - s[0])
+)
+BROKEN = replace(LATE, breakpoints=(0.11, 0.3))
 STEPS = {"dt": 0.02, "n_steps": 30}
 RK4 = {**STEPS, "method": "rk4"}
 RUNS = {
@@ -38,6 +41,8 @@ RUNS = {
     "with its norm error": (SHARED, (Q0, W0), {**RK4, "dt": 0.1, "normalise": "never"}),
     "brought back every third step": (SHARED, (Q0, W0), {**RK4, "dt": 0.1, "normalise": 3}),
     "from another time": (LATE, (Q0, W0), {**RK4, "t0": 7.0}),
+    "states": (LAGGED, (Q0, W0), {**RK4, "s0": W0[:, :1]}),
+    "breakpoints": (BROKEN, (Q0, W0), {**RK4, "save_every": 2, "t_end": 0.59, "n_steps": None}),
     "closed form": (OWN, (Q0, W0), {**STEPS, "save_every": 30}),
 }
 NAMES = ("q0", "w0", "v0", "r0")
@@ -86,16 +91,17 @@ def test_bits_do_not_depend_on_chunks(name):
         lazy = fd.propagate(
             scene, **dict(zip(NAMES, given, strict=False)), chunks=chunks, **options
         )
-        found, *parts = dask.compute(lazy, lazy.q, lazy.dcm)
+        found, q, status = dask.compute(lazy, lazy.q, lazy.status)
         assert isinstance(found, fa.Trajectory)
         assert found.summary() == whole.summary()
         assert same(found.t, whole.t)
         assert same(lazy.t, whole.t)
-        for part in ("q", "w", "status", "dcm", "norm_error", *(("v", "r") if scene.moves else ())):
+        carried = [*(("v", "r") if scene.moves else ()), *(("s",) if scene.states else ())]
+        for part in ("q", "w", "status", "dcm", "norm_error", *carried):
             assert same(getattr(found, part), getattr(whole, part)), part
-        for part, value in zip((whole.q, whole.dcm), parts, strict=True):
-            assert same(value, part)
-        for part in ("q", "w", "status", *(("v", "r") if scene.moves else ())):
+        assert same(q, whole.q)
+        assert same(status, whole.status)
+        for part in ("q", "w", "status", *carried):
             assert getattr(lazy, part).shape == getattr(whole, part).shape, part
 
 
@@ -115,29 +121,12 @@ def test_a_computed_run_is_a_trajectory(tmp_path):
     assert fa.interpolate(run.t, run.q, run.w, [0.33])[0].shape == (1, N, 4)
     run.plot(tmp_path / "run.png", SHARED)
     # whose end would be that of one chunk
-    with pytest.raises(ValueError, match="end: this trajectory does not hold it"):
+    with pytest.raises(ValueError, match="save_end: found a trajectory that does not hold its end"):
         run.save_end(tmp_path / "end")
 
 
-def test_a_persisted_run_is_computed_once(monkeypatch):
-    calls = []
-
-    def counted(*args, **options):
-        calls.append(1)
-        return fa.propagate(*args, **options)
-
-    monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
-    (kept,) = dask.persist(fd.propagate(SHARED, Q0, W0, chunks=30, **RK4))
-    whole = fa.propagate(SHARED, Q0, W0, **RK4)
-    assert len(calls) == 3
-    assert same(kept.compute().q, whole.q)
-    assert same(kept.w.compute(), whole.w)
-    assert len(calls) == 3
-    with pytest.raises(AttributeError, match="v: found none; accepted: q, w, dcm, status, t"):
-        _ = kept.v
-
-
 def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
+    """When it is asked for; all that is asked for at once comes of the same run."""
     threads = []
 
     def counted(*args, **options):
@@ -145,10 +134,19 @@ def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
         return fa.propagate(*args, **options)
 
     monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
-    lazy = fd.propagate(SHARED, Q0, W0, chunks=30, **RK4)
+    lazy, whole = (
+        fd.propagate(SHARED, Q0, W0, chunks=30, **RK4),
+        fa.propagate(SHARED, Q0, W0, **RK4),
+    )
     assert threads == []
-    dask.compute(lazy, lazy.q, lazy.w, lazy.status, lazy.dcm)
+    dask.compute(lazy, lazy.q, lazy.w, lazy.status)
     assert threads == [1, 1, 1]
+    (kept,) = dask.persist(lazy)
+    assert same(kept.compute().q, whole.q)
+    assert same(kept.w.compute(), whole.w)
+    assert len(threads) == 6
+    with pytest.raises(AttributeError, match="v: found none; accepted: t, q, w, status"):
+        _ = kept.v
 
 
 def kill_first(block, marker):
@@ -213,100 +211,6 @@ def test_warnings_of_workers_arrive(client):
     assert sorted(str(w.message)[:17] for w in told) == ["bodies 0 to 39: d", "bodies 40 to 69: "]
 
 
-def test_drifts_of_all_bodies():
-    steps = {"save_every": 10, **RK4}
-    whole = fa.drift_statistics(OWN, Q0, W0, **steps)
-    for chunks in (33, 70):
-        found = fd.drift_statistics(OWN, Q0, W0, chunks=chunks, **steps).compute()
-        assert (found.saves, found.bodies, found.flags) == (3, N, {})
-        for name in ("norm", "orthogonality", "energy", "momentum"):
-            one, each = getattr(found, name), getattr(whole, name)
-            assert one.maximum == each.maximum.max()
-            # counted by hand: how many of the 3 N saves are in a factor of 2
-            bins = each._counts.sum(axis=0)
-            assert bins.sum() == 3 * N
-            median = 2.0 ** (-56 + 1 + np.searchsorted(bins.cumsum(), 1.5 * N))
-            assert one.percentile(50.0) == min(median, each.maximum.max())
-
-
-def test_drifts_of_what_moves_begins_later_or_is_lost():
-    """Initial velocities and times count, and flags of all chunks."""
-    lost = W0.copy()
-    lost[[3, 60, 61]] = np.nan
-    moving = {"v0": W0, "r0": W0[:1] + 20.0}
-    orbit = fa.Scene(inertia=(2.0, 1.5, 1.0), mass=2.0, force=fa.forces.CentralGravity(30.0))
-    spin = fa.Scene(rate=lambda t, p: (p[0] * t, 0.4 * t, 0.1), params=(0.3,))
-    for scene, w0, options in (
-        (orbit, W0, moving),
-        (spin, None, {"t0": 4.0}),
-        (SHARED, lost, {"invalid": "flag"}),
-    ):
-        given = {"save_every": 10, **RK4, "dt": 0.1, **options}
-        whole = fa.drift_statistics(scene, Q0, w0, **given)
-        found = fd.drift_statistics(scene, Q0, w0, chunks=33, **given).compute()
-        assert found.flags == whole.trajectory.status_counts()
-        most = np.where(np.isnan(whole.norm.maximum), np.inf, whole.norm.maximum).max()
-        assert found.norm.maximum == most
-    assert found.flags == {"NON_FINITE": 3}
-
-
-def test_drift_of_a_lost_body_is_infinite():
-    a, b = Measure(2), Measure(1)
-    a.add(np.array([[1e-9, np.nan], [1e-9, np.nan]]))
-    b.add(np.array([[1e-9], [1e-9]]))
-    joined = Measure.joined([Measure.joined([a]), Measure.joined([b])])
-    assert joined.maximum == np.inf
-    assert 1e-9 <= joined.percentile(60.0) <= 2e-9
-    assert joined.percentile(70.0) == np.inf
-
-
-def test_work_precision_of_all_bodies():
-    runs = [("rk4", 100), ("rk4", 50), ("strang2", 50)]
-    tables = [
-        fd.work_precision(OWN, Q0, W0, t_end=1.0, runs=runs, chunks=chunks) for chunks in (33, 70)
-    ]
-    found, other = dask.compute(*tables)
-    exact = fa.closed_form.free_body(Q0, W0, OWN.inertia, 1.0)[0]
-    assert [(r.method, r.dt) for r in found.rows] == [
-        ("rk4", 0.02),
-        ("rk4", 0.01),
-        ("strang2", 0.02),
-    ]
-    for one, same_row in zip(found.rows, other.rows, strict=True):
-        last = fa.propagate(
-            OWN, Q0, W0, dt=one.dt, n_steps=round(1.0 / one.dt), method=one.method
-        ).q[-1]
-        error = fa.angle_between(last, exact)
-        assert one.error_max == error.max() == same_row.error_max
-        assert one.error_median == np.median(error) == same_row.error_median
-        assert one.error_p95 == np.quantile(error, 0.95)
-        assert one.order == same_row.order
-    assert found.reference == "the closed form"
-    assert found.n_bodies == found.sampled == N
-
-
-def test_work_precision_counts_every_chunk(monkeypatch):
-    """Where the worst body, and the one that is flagged, are in the second of three."""
-    monkeypatch.setattr("fastatt.dask.statistics.perf_counter", itertools.count().__next__)
-    fast = W0 * 0.3
-    fast[40] *= 20.0
-    options = {"t_end": 2.0, "t0": 7.0, "runs": [("rk4", 20)]}
-    table = fd.work_precision(LATE, Q0, fast, chunks=(30, 30, 10), **options).compute()
-    (row,) = table.rows
-    run = fa.propagate(LATE, Q0, fast, dt=0.1, n_steps=20, method="rk4", t0=7.0)
-    fine = fa.propagate(LATE, Q0, fast, dt=0.005, n_steps=400, method="rk8", t0=7.0)
-    error = fa.angle_between(run.q[-1], fine.q[-1])
-    rate = np.linalg.norm(run.w[-1] - fine.w[-1], axis=-1)
-    assert error.argmax() == rate.argmax() == np.abs(run.norm_error[-1]).argmax() == 40
-    assert row.error_max == pytest.approx(error.max(), rel=1e-6)
-    assert row.rate_error_max == pytest.approx(rate.max(), rel=1e-6)
-    assert row.norm_error_max == np.abs(run.norm_error).max()
-    counts = run.status_counts()
-    assert counts
-    assert row.status == ", ".join(f"{name} {n}" for name, n in counts.items())
-    assert row.seconds_per_body * N == pytest.approx(3.0)  # one tick of the clock a chunk
-
-
 def test_one_bad_body():
     bad = Q0.copy()
     bad[45] = np.nan
@@ -316,7 +220,8 @@ def test_one_bad_body():
     assert caught.value.__notes__ == ["in the chunk of bodies 30 to 59"]
     with pytest.raises(ValueError, match=r"q0\[45"):
         fd.propagate(SHARED, bad, W0, **RK4)
-    found = dask.compute(fd.propagate(SHARED, lazy, W0, invalid="flag", **RK4))[0]
+    with pytest.warns(RuntimeWarning, match="bodies 30 to 59: status: found NON_FINITE"):
+        found = dask.compute(fd.propagate(SHARED, lazy, W0, invalid="flag", **RK4))[0]
     fine = np.arange(N) != 45
     assert np.flatnonzero(found.status).tolist() == [45]
     assert same(found.q[:, fine], fa.propagate(SHARED, Q0, W0, **RK4).q[:, fine])
@@ -333,22 +238,13 @@ def of_unknown_size():
         (lambda: fd.propagate(OWN, Q0[:9], W0[:9], **STEPS), f"inertia: found {N} bodies"),
         (lambda: fd.propagate(SHARED, lazily([Q0])[0], W0[:9], **STEPS), "rows"),
         (lambda: fd.propagate(SHARED, lazily([W0])[0], W0, **STEPS), "q0"),
-        (
-            lambda: fd.propagate(SHARED, of_unknown_size(), W0, **STEPS),
-            "q0: found chunks of unknown size",
-        ),
+        (lambda: fd.propagate(SHARED, of_unknown_size(), W0, **STEPS), "q0: found unknown sizes"),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=0, **STEPS), "chunks: found 0"),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=2.5, **STEPS), "chunks: found 2.5"),
         (lambda: fd.propagate(SHARED, Q0, W0, chunks=(9, 9), **STEPS), "chunks: found 18 bodies"),
         (lambda: fd.propagate(SHARED, Q0, W0, **{**STEPS, "dt": 0.0}), "dt"),
         (lambda: fd.propagate(SHARED, Q0, W0, method="magnus4", **STEPS), "method: found"),
         (lambda: fd.propagate("free", Q0, W0, **STEPS), "scene: found"),
-        (
-            lambda: fd.drift_statistics(SHARED, Q0, W0, save_every=2, n_threads=2, **STEPS),
-            "n_threads: found",
-        ),
-        (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=[]), "runs: found none"),
-        (lambda: fd.work_precision(SHARED, Q0, W0, t_end=1.0, runs=["rk4"]), "runs: found 'rk4'"),
     ],
 )
 def test_wrong_arguments_are_named_before_anything_runs(call, message):

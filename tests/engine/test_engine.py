@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import math
 import os
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exact import START, combinations, generic
+from exact import START, generic
 from machine_code import (
     CALL,
     CONVERSION,
@@ -28,7 +27,8 @@ from machine_code import (
 from numba import njit
 
 import fastatt as fa
-from fastatt.engine.loop import status_loop, tile_loop
+from fastatt import _jit
+from fastatt.engine.machine import tile_machine
 from fastatt.engine.run import Run
 from fastatt.gyro.loops import loop as gyro_loop
 
@@ -51,7 +51,6 @@ def steps_of(monkeypatch, *args, **options):
 # packed arithmetic
 
 
-TILES = [pair for pair in combinations() if pair[1] in ("quat", "dcm")]
 ROWS = {
     "constant": fa.rates.Constant(BODIES.c[:, 0]),
     "polynomial": fa.rates.Polynomial(BODIES.c),
@@ -59,23 +58,28 @@ ROWS = {
 }
 
 
+@njit
+def with_sine(t, p):
+    return math.sin(p[0] * t), p[1], p[2]
+
+
+PACKED = {
+    "dcm": (None, "rk4", "dcm"),
+    "quat": (None, "magnus4", "quat"),
+    **{name: (fa.Scene(rate=rate),) for name, rate in ROWS.items()},
+    "user": (fa.Scene(rate=with_sine, params=BODIES.c[:, 0]), "lie_midpoint"),
+}
+
+
 @needs_avx
-@pytest.mark.parametrize(("method", "representation"), TILES)
-def test_step_is_packed(monkeypatch, method, representation):
+@pytest.mark.parametrize("args", PACKED.values(), ids=PACKED)
+def test_step_is_packed(monkeypatch, args):
     """With coning, a parabola and each body's own parameters: sines, products and loads.
 
     All of it on the machine's widest vectors, in the loop for turns of up to π and in the one for
-    any turn.
+    any turn; with every model alone, and with a user's own function.
     """
-    for loops in steps_of(monkeypatch, None, method, representation):
-        assert loops
-        assert all(map(is_packed, loops))
-
-
-@needs_avx
-@pytest.mark.parametrize("model", ROWS)
-def test_step_is_packed_with_every_model(monkeypatch, model):
-    for loops in steps_of(monkeypatch, fa.Scene(rate=ROWS[model])):
+    for loops in steps_of(monkeypatch, *args):
         assert loops
         assert all(map(is_packed, loops))
 
@@ -109,20 +113,8 @@ def test_float32_phases_are_reduced_in_double_precision_and_no_more(monkeypatch,
 
 
 @njit
-def with_sine(t, p):
-    return math.sin(p[0] * t), p[1], p[2]
-
-
-@njit
 def with_gamma(t, p):
     return math.gamma(1.0 + p[0] * p[0] * t * t), p[1], p[2]
-
-
-def test_a_users_sine_is_packed(monkeypatch):
-    scene = fa.Scene(rate=with_sine, params=BODIES.c[:, 0])
-    for loops in steps_of(monkeypatch, scene, "lie_midpoint"):
-        assert loops
-        assert all(map(is_packed, loops))
 
 
 @needs_avx
@@ -221,13 +213,13 @@ def peak():
 
 
 def test_a_short_run_takes_the_tiles_that_it_has(monkeypatch):
-    taken, part = [], Run.part
+    taken, perform = [], Run.perform
 
-    def noted(run, span, *tiles):
+    def noted(run, tape, rows, *tiles):
         taken.append(tiles)
-        return part(run, span, *tiles)
+        return perform(run, tape, rows, *tiles)
 
-    monkeypatch.setattr(Run, "part", noted)
+    monkeypatch.setattr(Run, "perform", noted)
     for n in (1, 2, 300):
         q0, w0 = np.tile(START, (n, 1)), np.ones((n, 3))
         scene = fa.Scene(inertia=(2.0, 1.0, 0.7))
@@ -261,22 +253,16 @@ def test_memory_of_a_log_is_that_of_its_attitudes(peak):
 
 
 def test_a_loop_releases_the_gil():
-    """A function that ctypes calls keeps it only where its flags name Python's own interface."""
-    own_interface = ctypes.PyDLL._func_flags_ & ~ctypes.CDLL._func_flags_
-    assert own_interface
-    loops = [
-        tile_loop("double", per_body=False),
-        tile_loop("single", per_body=True),
-        status_loop("double"),
-        *(gyro_loop(name, "double") for name in ("sweep", "along", "chain")),
-    ]
-    assert [loop._flags_ & own_interface for loop in loops] == [0] * len(loops)
+    """As its options say."""
+    tile_machine("double", any_angle=False, forks=False)
+    gyro_loop("sweep", "double")
+    assert all(loop.targetoptions["nogil"] for loop in _jit._MACHINES)
 
 
 def test_bodies_run_on_several_threads(monkeypatch):
     """Pieces of an ensemble reach the program from as many threads as asked for."""
     seen = set()
-    real = Run.part
+    real = Run.perform
     barrier = threading.Barrier(2, timeout=20.0)
 
     def watched(*args):
@@ -285,7 +271,7 @@ def test_bodies_run_on_several_threads(monkeypatch):
             barrier.wait()
         real(*args)
 
-    monkeypatch.setattr(Run, "part", watched)
+    monkeypatch.setattr(Run, "perform", watched)
     bodies = generic(640)
     run(bodies.scene, n=4, q0=np.tile(START, (640, 1)), n_threads=2)
     assert len(seen) == 2
@@ -298,15 +284,10 @@ def test_an_error_in_one_piece_stops_the_run(monkeypatch):
         calls.append(args)
         raise RuntimeError("piece")
 
-    monkeypatch.setattr(Run, "part", broken)
-    bodies = generic(6400)
+    monkeypatch.setattr(Run, "perform", broken)
     with pytest.raises(RuntimeError, match="piece"):
-        run(bodies.scene, q0=np.tile(START, (6400, 1)), n_threads=2)
+        run(generic(6400).scene, q0=np.tile(START, (6400, 1)), n_threads=2)
     assert len(calls) < 16
-
-
-def burst(t, p):
-    return p[0], 0.2, 400.0 if 2.6 < t < 2.61 else 0.3
 
 
 def test_progress_counts_every_step(monkeypatch):

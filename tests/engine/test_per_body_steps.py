@@ -22,24 +22,6 @@ SCENES = {
     "rate": fa.Scene(rate=fa.rates.Coning(0.4, 1.3)),
     "spin": fa.Scene(rate=fa.rates.Constant((0.3, 0.2, 9.0))),
 }
-# what they add to the others: torque and time, turns beyond pi a step
-FEW = {"torqued": ("rk4", "rk8", "strang2", "suzuki4"), "spin": ("rk4", "magnus4")}
-STEPPED = [
-    (kind, name)
-    for kind, scene in SCENES.items()
-    for name in fa.methods_for(scene, "quat")
-    if fa.METHODS[name].is_stepped and name in FEW.get(kind, fa.METHODS)
-]
-
-
-def sorts():
-    """One method of each sort: what differs in how a body's own steps are taken."""
-    found = {}
-    for kind, name in STEPPED:
-        m = fa.METHODS[name]
-        formulas = m.steps.stage is not None, m.sorted_axes
-        found.setdefault((kind, m.exponentials > 0, len(m.stages) > 1, *formulas), (kind, name))
-    return list(found.values())
 
 
 def run(kind, method, rows=slice(None), **options):
@@ -48,25 +30,10 @@ def run(kind, method, rows=slice(None), **options):
     return fa.propagate(scene, Q0[rows], w0, method=method, **options)
 
 
-@pytest.mark.parametrize(("kind", "method"), sorts())
-def test_a_body_is_what_it_is_alone(kind, method):
-    """Bit for bit, whatever its neighbours' steps; at the saves on its grid too."""
-    together = run(kind, method, dt=STEPS, n_steps=COUNTS, save_at=[0.0, 0.4, END])
-    for b in (0, 33, N - 1):
-        alone = run(kind, method, b, dt=STEPS[b], n_steps=int(COUNTS[b]))
-        assert (together.q[-1, b] == alone.q[-1]).all()
-        assert (together.w[-1, b] == alone.w[-1]).all()
-        between = run(kind, method, b, dt=STEPS[b], n_steps=int(COUNTS[b]), save_at=[0.4])
-        assert (together.q[1, b] == between.q[0]).all()
-    # whose neighbours take a shorter step to that save
-    grid = run(kind, method, 33, dt=STEPS[33], n_steps=12)
-    assert (together.state[1, 33] == grid.state[-1]).all()
-    assert (together.w[1, 33] == grid.w[-1]).all()
-    begin = run(kind, method, dt=0.1, n_steps=0)
-    assert angle(together.q[0], begin.q[0]).max() < 2e-15  # to rounding
-
-
-@pytest.mark.parametrize(("kind", "method"), sorts())
+@pytest.mark.parametrize(
+    ("kind", "method"),
+    [("torqued", "rk4"), ("torqued", "kahan_li8"), ("free", "dmv10"), ("spin", "magnus4")],
+)
 def test_a_save_between_is_one_shorter_step(kind, method):
     """As far from the truth as whole steps are; on the grid the same bits."""
     n, at = 30, [0.05, 0.513, 1.0, END]
@@ -80,18 +47,6 @@ def test_a_save_between_is_one_shorter_step(kind, method):
     whole = run(kind, method, dt=0.513 / 10, n_steps=10)  # steps of about the same size
     allowed = 4.0 * angle(whole.q[-1], truth.q[-1]).max() + 1e-13
     assert angle(between.q[1], truth.q[-1]).max() < allowed
-
-
-@pytest.mark.parametrize("h", [0.2, 0.1])
-def test_saves_between_fall_with_the_order(h):
-    """rk4 under gravity gradient: halving the step divides the error by 2^4, within a quarter."""
-    at = [0.37, 0.93]
-    truth = run("torqued", "rk8", dt=END / 600, n_steps=600, save_at=at)
-    errors = [
-        angle(run("torqued", "rk4", dt=k, n_steps=round(END / k), save_at=at).q, truth.q).max()
-        for k in (h / 2, h / 4)
-    ]
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=1.0)
 
 
 @pytest.mark.parametrize("method", ["magnus4", "lie_midpoint"])
@@ -109,119 +64,69 @@ def test_a_shorter_step_may_turn_past_half_a_turn(method):
 
 def test_one_rate_for_bodies_with_steps_of_their_own():
     """What bodies share is computed once for those side by side only where their steps agree."""
-    cone = fa.rates.Coning(0.4, 1.3)
-    shared = fa.Scene(rate=cone)
+    shared = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
     own = fa.Scene(rate=fa.rates.Coning(np.full(N, 0.4), 1.3))
     called = fa.Scene(rate=lambda t, p: (p[0] * round(10.0 * t), 0.2, np.cos(t)), params=(0.03,))
     options = {"save_at": [0.4, END], "t0": 0.0, "method": "magnus4"}
-    some_alike = np.repeat(COUNTS[: N // 7], 7)
-    for counts in (COUNTS, some_alike, np.full(N, 40)):
+    for counts in (COUNTS, np.repeat(COUNTS[: N // 7], 7), np.full(N, 40)):
         steps = {"dt": END / counts, "n_steps": counts, **options}
-        together = fa.propagate(shared, Q0, **steps)
-        assert angle(together.q, fa.propagate(own, Q0, **steps).q).max() < 1e-14
-        for scene in (shared, called):
-            together = fa.propagate(scene, Q0, **steps)
+        together = [fa.propagate(scene, Q0, **steps) for scene in (shared, own, called)]
+        assert angle(together[0].q, together[1].q).max() < 1e-14
+        for scene, found in ((shared, together[0]), (called, together[2])):
             for b in (0, 33, N - 1):
                 given = {"dt": END / counts[b], "n_steps": int(counts[b]), **options}
                 alone = fa.propagate(scene, Q0[b], **given)
-                assert (together.q[:, b] == alone.q).all()
-                assert (together.w[:, b] == alone.w).all()
+                assert (found.q[:, b] == alone.q).all()
+                assert (found.w[:, b] == alone.w).all()
 
 
-def test_representations_precisions_and_threads_agree():
+def test_representations_and_precisions_agree():
     options = {"dt": STEPS, "n_steps": COUNTS, "save_at": [0.4, END]}
     quat = run("free", "rk4", **options)
-    assert (run("free", "rk4", n_threads=2, **options).q == quat.q).all()
     matrix = run("free", "rk4", representation="dcm", **options)
     single = run("free", "rk4", dtype=np.float32, **options)
     error = angle(quat.q[-1], run("free", "rk8", dt=END / 90, n_steps=90).q[-1]).max()
     assert angle(matrix.q, quat.q).max() < 50 * error
     assert angle(single.q.astype(float), quat.q).max() < 90 * 6e-8 * 4
-    assert single.q.dtype == np.float32
-
-
-@pytest.mark.parametrize("steps", [{"dt": STEPS, "n_steps": COUNTS}, {"dt": 0.05, "n_steps": 30}])
-@pytest.mark.parametrize("kind", ["free", "rate"])
-def test_an_ensemble_in_parts_is_the_same(kind, steps, monkeypatch):
-    whole = run(kind, "rk4", **steps, save_at=[0.4, END])
-    monkeypatch.setattr("fastatt.propagation.execute.PART", 32)
-    parts = run(kind, "rk4", **steps, save_at=[0.4, END])
-    for name in ("t", "q", "w", "status", "norm_error"):
-        assert (getattr(parts, name) == getattr(whole, name)).all()
 
 
 def test_backwards_and_from_another_epoch():
-    there = run("rate", "magnus6", dt=STEPS, n_steps=COUNTS)
-    back = fa.propagate(
-        SCENES["rate"], there.q[-1], dt=-STEPS, n_steps=COUNTS, t0=END, method="magnus6",
-        save_at=[0.7, 0.0],
-    )  # fmt: skip
+    steps = {"n_steps": COUNTS, "method": "magnus6"}
+    there = run("rate", dt=STEPS, **steps)
+    back = fa.propagate(SCENES["rate"], there.q[-1], dt=-STEPS, t0=END, save_at=[0.7, 0.0], **steps)
     start = Q0 / np.linalg.norm(Q0, axis=1)[:, None]
     assert angle(back.q[-1], start).max() < 1e-12  # magnus6 undoes its own steps
-    later = run("rate", "rk4", dt=STEPS, n_steps=COUNTS, t0=3.0, save_at=[3.4, 3.0 + END])
-    one = run("rate", "rk4", 5, dt=STEPS[5], n_steps=int(COUNTS[5]), t0=3.0, save_at=[3.4])
-    assert (later.q[0, 5] == one.q[0]).all()
+    # a free body does not know when it is
+    steps, at = {"dt": STEPS, "n_steps": COUNTS, "method": "rk4"}, np.array([0.4, END])
+    here = run("free", **steps, save_at=at)
+    for t0 in (3.0, 1.7e9):
+        assert (run("free", **steps, t0=t0).q[-1] == here.q[-1]).all()
+        assert (run("free", **steps, t0=t0, save_at=t0 + at[1:]).q[-1] == here.q[-1]).all()
 
 
 def test_times_to_rounding_are_those_of_steps():
     """What a sum of steps, or the time since 1970, is off by takes no further step."""
-    body = fa.Scene(inertia=(2.0, 1.0, 1.5))
     counts = np.arange(60, 200)
     assert (counts * (1.0 / counts) != 1.0).any()
     spins = np.tile([30.0, 20.0, 10.0], (counts.size, 1))
-    options = {"method": "rk4", "invalid": "flag"}
-    ends = fa.propagate(body, Q0[0], spins, dt=1.0 / counts, n_steps=counts, **options)
-    at_one = {"save_at": [1.0]}
-    saved = fa.propagate(body, Q0[0], spins, dt=1.0 / counts, n_steps=counts, **at_one, **options)
-    assert (saved.state == ends.state).all()
-    for b in (9, 48, 97, 106):
-        step = {"dt": 1.0 / counts[b], "n_steps": int(counts[b])}
-        alone = fa.propagate(body, Q0[0], spins[b], **step, **options)
-        assert (ends.state[-1, b] == alone.state[-1]).all()
+
+    def of(counts, w0, **options):
+        steps = {"dt": 1.0 / counts, "n_steps": counts, "invalid": "flag", "method": "rk4"}
+        return fa.propagate(SCENES["free"], Q0[0], w0, **steps, **options).state
+
+    assert (of(counts, spins, save_at=[1.0]) == of(counts, spins)).all()
     for n in (49, 98, 103):  # whose end is an ulp before 1
         assert n * (1.0 / n) < 1.0
-        one = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **at_one, **options)
-        whole = fa.propagate(body, Q0[0], spins[0], dt=1.0 / n, n_steps=n, **options)
-        assert (one.state == whole.state).all()
-    grid = fa.propagate(body, Q0[0], spins[0], dt=0.01, n_steps=60, save_every=1, method="rk4")
+        assert (of(n, spins[0], save_at=[1.0]) == of(n, spins[0])).all()
+    steps = {"dt": 0.01, "n_steps": 60, "method": "rk4"}
+    grid = fa.propagate(SCENES["free"], Q0[0], spins[0], save_every=1, **steps)
     for t0 in (0.0, 0.7, 1.7e9):
-        options = {"dt": 0.01, "n_steps": 60, "t0": t0, "method": "rk4"}
-        late = fa.propagate(body, Q0[0], spins[0], save_at=t0 + 0.01 * np.arange(61), **options)
+        at = t0 + 0.01 * np.arange(61)
+        late = fa.propagate(SCENES["free"], Q0[0], spins[0], save_at=at, t0=t0, **steps)
         after = late.t - t0 >= grid.t  # to rounding; what comes before takes nearly a step more
         assert after.sum() > 10
         assert (late.state[after] == grid.state[after]).all()
         assert angle(late.q, grid.q).max() < 40.0 * 2.0**-52 * max(1.0, t0)
-
-
-def test_a_free_body_does_not_know_when_it_is_nor_who_is_beside_it():
-    """Time counts from t0: the ends of steps are not compared as times since the epoch."""
-    at = np.array([0.4, END])
-    options = {"dt": STEPS, "n_steps": COUNTS, "method": "rk4"}
-    here = run("free", **options, save_at=at)
-    ends = run("free", **options)
-    for t0 in (3.0, 1.7e9):
-        assert (run("free", **options, t0=t0).q == ends.q).all()
-        late = run("free", **options, t0=t0, save_at=t0 + at[1:])
-        assert (late.q[-1] == here.q[-1]).all()
-    few = [3, 33]
-    alone = run("free", rows=few, dt=STEPS[few], n_steps=COUNTS[few], method="rk4", t0=1.7e9)
-    assert (alone.q[-1] == ends.q[-1][few]).all()
-
-
-def test_each_body_has_its_own_numbers_and_status():
-    moments = np.array([2.0, 1.0, 1.5]) * np.linspace(1.0, 2.0, N)[:, None]
-    scene = fa.Scene(inertia=moments)
-    w0 = W0.copy()
-    w0[3] = np.nan
-    run_all = fa.propagate(
-        scene, Q0, w0, dt=STEPS, n_steps=COUNTS, method="rk4", invalid="flag", save_at=[0.4, END]
-    )
-    assert run_all.status_counts() == {"NON_FINITE": 1}
-    one = fa.propagate(
-        scene[8:9], Q0[8], W0[8:9], dt=STEPS[8], n_steps=int(COUNTS[8]), method="rk4",
-        save_at=[0.4, END],
-    )  # fmt: skip
-    assert (run_all.q[:, 8] == one.q[:, 0]).all()
 
 
 def test_steps_past_the_limit_are_the_bodys_own():
@@ -246,11 +151,18 @@ def test_a_warning_after_the_run_names_the_body_with_the_largest_step():
     assert np.flatnonzero(found.status).tolist() == [60]
 
 
-def test_a_body_that_waits_is_not_judged():
+@pytest.mark.parametrize("breakpoints", [(), (0.45 * END,)])
+@pytest.mark.parametrize("kind", ["rate", "torque"])
+def test_a_body_that_waits_is_not_judged(kind, breakpoints):
     """While it waits its lane goes on, to times when this rate is beyond any method."""
-    scene = fa.Scene(rate=fa.rates.Polynomial([[0.1, 0.0, 0.0], [0.0, 0.0, 1.0]]))
+    acting = {
+        "rate": {"rate": fa.rates.Polynomial([[0.1, 0.0, 0.0], [0.0, 0.0, 1.0]])},
+        "torque": {"inertia": (1.0, 1.0, 1.0), "torque": late, "params": (4.0,)},
+    }
+    scene = fa.Scene(**acting[kind], breakpoints=breakpoints)
     counts = np.where(np.arange(N) == 4, 15, 400)
-    found = fa.propagate(scene, Q0, dt=END / counts, n_steps=counts, method="rk4")
+    w0 = None if kind == "rate" else 0.1 * W0
+    found = fa.propagate(scene, Q0, w0, dt=END / counts, n_steps=counts, method="rk4")
     assert not found.status.any()
 
 
@@ -292,8 +204,8 @@ def test_per_body_steps_meet_the_tolerance_with_fewer_steps(method, tol):
     assert angle(found.q[-1], exact.q[-1]).max() < tol
     assert own.share < 0.35
     assert not found.status.any()
-    side_by_side = -np.sort(-own.n_steps)[: 300 - 300 % 64].reshape(-1, 64)
-    assert (side_by_side == side_by_side[:, :1]).all()
+    assert np.unique(own.n_steps).size <= 16
+    assert np.array_equal(own.dt, 10.0 / own.n_steps)
 
 
 def test_a_sample_of_one_says_so():
@@ -301,13 +213,11 @@ def test_a_sample_of_one_says_so():
     w0 = np.vstack([(0.0, 0.0, 5.0 + 1e-9), CHANCE.normal(size=(99, 3))])
     w0[1:] *= 5.0 / np.linalg.norm(w0[1:], axis=1)[:, None]
     exact = fa.propagate(SCENES["free"], Q0[:1], w0, dt=10.0, n_steps=1, method="exact")
-    for sample in (1, 100):
+    for sample, measured in ((1, 2), (100, 100)):  # the fastest besides
         options = {"t_end": 10.0, "tol": 1e-5, "method": "rk4", "sample": sample}
         own = fa.per_body_steps(SCENES["free"], Q0[:1], w0, **options)
-        # the fastest besides
-        assert (own.measured, own.n_bodies) == ({1: 2, 100: 100}[sample], 100)
-        text = f"error {own.expected_error:.1e} rad at most, measured over {own.measured} of 100 "
-        text += "bodies"
+        assert (own.measured, own.n_bodies) == (measured, 100)
+        text = f"error {own.expected_error:.1e} rad at most, measured over {measured} of 100 bodies"
         assert text in str(own)
         run = fa.propagate(SCENES["free"], Q0[:1], w0, **own.arguments)
         error = angle(run.q[-1], exact.q[-1]).max()
@@ -315,19 +225,17 @@ def test_a_sample_of_one_says_so():
         assert own.expected_error <= 1e-5
 
 
-@pytest.mark.parametrize("method", ["gbs16", "rk8"])
-def test_what_is_recommended_was_run(method):
+def test_what_is_recommended_was_run():
     """Large steps of high order, whose error falls by no power yet: it is measured at each."""
-    torque = fa.torques.Sum(
-        (fa.torques.QuadraticDamping(0.2), fa.torques.Constant((0.3, -0.5, 0.4)))
-    )
+    damping = fa.torques.QuadraticDamping(0.2)
+    torque = fa.torques.Sum((damping, fa.torques.Constant((0.3, -0.5, 0.4))))
     scene = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=torque)
-    own = fa.per_body_steps(scene, Q0, W0, t_end=10.0, tol=1e-8, method=method)
-    run = fa.propagate(scene, Q0, W0, **own.arguments)
     fine = fa.propagate(scene, Q0, W0, dt=0.005, n_steps=2000, method="rk8")
-    true = angle(run.q[-1], fine.q[-1]).max()
-    assert true <= own.expected_error <= 1e-8
-    assert not run.status.any()
+    for method in ("gbs16", "rk8"):
+        own = fa.per_body_steps(scene, Q0, W0, t_end=10.0, tol=1e-8, method=method)
+        run = fa.propagate(scene, Q0, W0, **own.arguments)
+        assert angle(run.q[-1], fine.q[-1]).max() <= own.expected_error <= 1e-8
+        assert not run.status.any()
 
 
 def late(t, q, w, p):
@@ -364,13 +272,11 @@ def test_a_body_with_the_largest_number_is_looked_at():
     assert angle(run.q[-1, 50], known.q[-1, 50]) < 1e-5
 
 
-@pytest.mark.parametrize(
-    ("tol", "message"), [(1e-16, "tol: found 1e-16; accepted: at least 1e-15"), (3e-15, "can meet")]
-)
-def test_a_tolerance_that_rounding_hides_is_refused(tol, message):
+@pytest.mark.parametrize("tol", [1e-300, 1e-16, 3e-15])
+def test_a_tolerance_that_rounding_hides_is_refused(tol):
     """Without steps by the thousand million."""
     options = {"t_end": 10.0, "tol": tol, "method": "rk4"}
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=f"tol: found {tol:g}; accepted: at least .* is rounding"):
         fa.per_body_steps(SCENES["free"], Q0[:1], W0[:2], **options)
 
 
@@ -386,8 +292,3 @@ def test_no_steps_are_tried_that_rounding_makes_worse(monkeypatch):
     with pytest.raises(ValueError, match="accepted: what strang2 can meet, errors stay at"):
         fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=1.0, tol=1e-14, method="strang2")
     assert 1e5 < sum(tried) < 1e7
-    tried.clear()
-    # neither is the error larger with more steps, nor does it fall
-    with pytest.raises(ValueError, match="accepted: what suzuki4 can meet, errors stay at"):
-        fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=3.0, tol=1e-14, method="suzuki4")
-    assert 3 < len(tried) < 10

@@ -14,14 +14,11 @@ from numba import njit
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
-from fastatt.kernels.trig import sincos
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
-METHODS = fa.methods_for(FREE, "quat")
 N = 300
 GENERATOR = np.random.default_rng(5)
 Q0, W0 = GENERATOR.normal(size=(N, 4)), GENERATOR.normal(size=(N, 3))
-BAD = {3: "nan q", 64: "zero q", 65: "inf w", 130: "nan w", 131: "runaway", 299: "inf q"}
 
 
 def test_codes_are_those_that_are_documented():
@@ -43,72 +40,7 @@ def spoilt():
     return q, w
 
 
-@pytest.mark.parametrize(
-    ("method", "options"),
-    [(m, {}) for m in ("rk4", "dmv10", "strang2", "exact")]
-    + [(m, {"compensated": True}) for m in ("rk4", "dmv10")],
-)
-@pytest.mark.filterwarnings("ignore:t. found rotations")  # of the runaway, in closed form
-def test_bad_bodies_harm_no_neighbour(method, options):
-    options = {"dt": 0.01, "n_steps": 100, "method": method, "save_every": 50, **options}
-    alone = fa.propagate(FREE, Q0, W0, **options)
-    q, w = spoilt()
-    together = fa.propagate(FREE, q, w, invalid="flag", **options)
-    bad = np.isin(np.arange(N), list(BAD))
-    assert_array_equal(together.q[:, ~bad], alone.q[:, ~bad])
-    assert_array_equal(together.w[:, ~bad], alone.w[:, ~bad])
-    assert_array_equal(together.status[~bad], alone.status[~bad])
-    for body, what in BAD.items():
-        if what != "runaway":
-            assert together.status[body] & fa.Status.NON_FINITE, what
-        elif method != "exact":  # which is right at any rate
-            assert together.status[body] & (fa.Status.STEP_TOO_LARGE | fa.Status.NON_FINITE), what
-    assert together.status_counts()["NON_FINITE"] >= 5
-
-
-@pytest.mark.parametrize("method", ["rk4", "dmv10"])
-def test_three_bad_bodies_in_a_hundred_thousand(method):
-    """The others are, to the last bit, what they are in an ensemble without them."""
-    n, bad = 100_000, [12_345, 54_321, 99_999]
-    generator = np.random.default_rng(6)
-    q, w = generator.normal(size=(n, 4)), generator.normal(size=(n, 3))
-    q[bad[0], 2], w[bad[1], 1], w[bad[2]] = np.nan, np.inf, 1e9
-    options = {"dt": 0.01, "n_steps": 50, "method": method}
-    together = fa.propagate(FREE, q, w, invalid="flag", **options)
-    without = fa.propagate(FREE, np.delete(q, bad, 0), np.delete(w, bad, 0), **options)
-    assert_array_equal(np.delete(together.q[-1], bad, 0), without.q[-1])
-    assert_array_equal(np.delete(together.w[-1], bad, 0), without.w[-1])
-    assert_array_equal(np.flatnonzero(together.status), bad)
-    assert not without.status.any()
-
-
-@njit
-def coning(t, p):
-    s, c = sincos(p[1] * t)
-    a, b = sincos(0.5 * p[0])
-    k = 2.0 * p[1] * a
-    return -k * b * s, k * b * c, -k * a
-
-
-@pytest.mark.parametrize("method", ["rk4", "magnus4", "cf4"])
-def test_turns_known_beforehand_are_judged_as_those_that_are_watched(method):
-    """Steps of 0.01 to 10 rad: of a model, whose bound is known, and of a user's function."""
-    generator = np.random.default_rng(7)
-    p = np.stack([generator.uniform(0.2, 1.5, N), 10.0 ** generator.uniform(0.0, 3.0, N)], axis=1)
-    options = {"dt": 0.01, "n_steps": 130, "method": method}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", fa.StepWarning)
-        known = fa.propagate(fa.Scene(rate=fa.rates.Coning(*p.T)), Q0, **options)
-        watched = fa.propagate(fa.Scene(rate=coning, params=p), Q0, **options)
-    assert_array_equal(known.status, watched.status)
-    good = known.status == 0
-    assert 0.2 * N < good.sum() < 0.9 * N
-    assert fa.angle_between(known.q[-1], watched.q[-1])[good].max() < 1e-13
-    alone = fa.propagate(fa.Scene(rate=fa.rates.Coning(*p[good].T)), Q0[good], **options)
-    assert_array_equal(known.q[:, good], alone.q)
-
-
-def test_coordinates_near_their_pole_are_flagged_however_slow_the_known_rate():
+def test_coordinates_near_their_pole_are_flagged_however_slow_the_rate():
     """The body turns by 0.03 rad a step, Euler's angles by half a turn as it passes the pole."""
     scene = fa.Scene(rate=fa.rates.Constant((0.6, 0.0, 0.1)))
     near, far = (fa.rotation_vector_to_quat([-x, 0.0, 0.0]) for x in (0.31, -0.5))
@@ -134,9 +66,7 @@ def bursts(method, first, last, n_steps, *, period=1e9, **options):
     return fa.propagate(scene, Q0[:1], dt=1.0, n_steps=n_steps, method=method, **options)
 
 
-@pytest.mark.parametrize(
-    "method", ["lie_euler", "lie_midpoint", "rk4", "magnus4", "magnus6", "rkmk4", "cf4", "cg3"]
-)
+@pytest.mark.parametrize("method", ["lie_euler", "rk4", "magnus4", "cg3"])
 def test_bursts_of_seven_steps_do_not_pass_unseen(method):
     for first in (0, 5, 61, 92, 250, 256, 293):
         run = bursts(method, first, first + 7, 300)
@@ -162,6 +92,16 @@ def test_the_last_step_before_a_save_is_looked_at(method):
         assert bursts(method, first, first + 1, n_steps, **options).status[0]
 
 
+def test_shorter_steps_are_looked_at():
+    """The last one of a run, and one to a save, though the whole step around it is slow."""
+    scene = fa.Scene(rate=lambda t, p: (5.0 if 2.2 < t < 2.3 else 0.1, 0.0, 0.0))
+    options = {"dt": 1.0, "method": "lie_midpoint"}  # evaluated at 2.25, or at 2.5
+    for more in ({"t_end": 2.5}, {"n_steps": 4, "save_at": [2.5, 4.0]}):
+        assert fa.propagate(scene, Q0[:1], **options, **more).status[0]
+    for more in ({"n_steps": 3}, {"n_steps": 4, "save_at": [2.0, 4.0]}):
+        assert not fa.propagate(scene, Q0[:1], **options, **more).status[0]
+
+
 @njit
 def slew(t, p):
     """p rad/s in the third step, 0.1 else."""
@@ -169,25 +109,22 @@ def slew(t, p):
     return 0.6 * speed, 0.0, -0.8 * speed
 
 
-# a float32 quaternion is spoilt by 1e-3 before its length says so; 1000 rad have an ulp of 6e-5
 @pytest.mark.parametrize(
     ("representation", "compensated", "single"),
-    [("quat", False, 1e-3), ("quat", True, 1e-3), ("dcm", False, 1e-4), ("dcm_rows", False, 1e-4)],
+    [("quat", False, 1e-3), ("quat", True, 1e-3), ("dcm", False, 1e-4)],
 )
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_what_a_short_exponential_spoilt_is_run_again(representation, compensated, dtype, single):
-    """One step of up to 1000 rad, at which nobody looks, in a hundred of 0.1."""
+    """One step of up to 1000 rad, at which nobody looks, in a hundred of 0.1.
+
+    A float32 quaternion is spoilt by 1e-3 before its length says so; 1000 rad have an ulp of 6e-5.
+    """
     angles = np.concatenate([np.linspace(3.0, 30.0, 2000), np.geomspace(30.0, 1000.0, 200)])
     run = fa.propagate(
-        fa.Scene(rate=slew, params=angles[:, None]),
-        np.tile(np.eye(4)[0], (angles.size, 1)),
-        dt=1.0,
-        n_steps=100,
-        method="lie_midpoint",
-        representation=representation,
-        dtype=dtype,
+        fa.Scene(rate=slew, params=angles[:, None]), np.tile(np.eye(4)[0], (angles.size, 1)),
+        dt=1.0, n_steps=100, method="lie_midpoint", representation=representation, dtype=dtype,
         compensated=compensated,
-    )
+    )  # fmt: skip
     half = 0.5 * (angles.astype(dtype).astype(np.float64) + 0.1 * 99)
     expected = [np.cos(half), 0.6 * np.sin(half), 0.0 * half, -0.8 * np.sin(half)]
     off = fa.angle_between(run.q[-1].astype(np.float64), np.stack(expected, axis=-1))
@@ -214,7 +151,7 @@ def test_the_norm_is_judged_before_it_is_mended(normalise, dtype, bound):
 
 
 @pytest.mark.parametrize("begin", [-100.0, 0.0, 100.0])
-def test_known_turns_are_those_of_the_whole_run(begin):
+def test_turns_of_the_whole_run_are_judged(begin):
     """Of a rate that is 5 rad/s at ±100 s and less between, run towards 0 and away from it."""
     rate = fa.rates.Polynomial([[0.1, 0.0, 0.0], [0.0, 0.04, 0.03]])
     for h in (1.0, -1.0):
@@ -298,7 +235,7 @@ def test_energy_and_momentum_that_leave_their_bound_are_flagged(dtype):
 @pytest.mark.parametrize(
     ("dtype", "left", "good"), [("float64", 1e-12, 0.65), ("float32", 1e-7, 0.85)]
 )
-@pytest.mark.parametrize("method", ["dmv2", "dmv6", "dmv10"])
+@pytest.mark.parametrize("method", ["dmv2", "dmv10"])
 def test_not_converged_is_said_of_what_did_not_converge(method, dtype, left, good):
     """The discrete step keeps |m| and the energy; where Newton's steps stop they are off by a rest.
 
@@ -363,28 +300,29 @@ def test_steps_past_the_limit_are_warned_of_with_a_step_that_is_not(method):
 
 def test_the_remedy_is_the_limit_itself():
     """To the three digits that are shown, of turns, of damping, and of steps below rounding."""
-    start = {"q0": [1, 0, 0, 0], "n_steps": 1}
-    limit = fa.METHODS["rk4"].limit("quat")
-    with pytest.warns(fa.StepWarning) as found:
-        fa.propagate(FREE, w0=[[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], dt=1.0, method="rk4", **start)
-    shown = f"a step of body 1 is 8 rad, rk4's limit is {limit:.3g} (1 of 2 bodies"
-    assert shown in str(found[0].message)
-    assert remedy(str(found[0].message)) == pytest.approx(limit / 8.0, rel=5e-3)
+    start, rk4 = {"q0": [1, 0, 0, 0], "n_steps": 1, "method": "rk4"}, fa.METHODS["rk4"]
     damping = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Damping(20.0))
-    with pytest.warns(fa.StepWarning, match="damping takes 20 of the rate a step") as found:
-        fa.propagate(damping, w0=[0.01, 0.0, 0.0], dt=1.0, method="rk4", **start)
-    most = fa.METHODS["rk4"].damping_limit
-    assert remedy(str(found[0].message)) == pytest.approx(most / 20.0, rel=5e-3)
+    w0, limit = [[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], rk4.limit("quat")
+    shown = rf"a step of body 1 is 8 rad, rk4's limit is {limit:.3g} \(1 of 2 bodies"
+    own = {"w0": w0, "dt": [1.0, 0.5], "n_steps": [1, 2]}  # of the body that is named
+    for scene, options, message, most in (
+        (FREE, {"w0": w0, "dt": 1.0}, shown, limit / 8.0),
+        (FREE, own, "a step of body 1 is 4 rad", limit / 8.0),
+        (damping, {"w0": [0.01, 0.0, 0.0], "dt": 1.0}, "takes 20 of", rk4.damping_limit / 20.0),
+    ):
+        with pytest.warns(fa.StepWarning, match=message) as found:
+            fa.propagate(scene, **start | options)
+        assert remedy(str(found[0].message)) == pytest.approx(most, rel=5e-3)
     with pytest.warns(fa.StepWarning, match=r"no step is more than 1e-17 rad") as found:
-        fa.propagate(FREE, w0=[0.0, 0.0, 1.0], dt=1e-17, method="rk4", **start)
+        fa.propagate(FREE, w0=w0[0], dt=1e-17, **start)
     least = float(re.search(r"\|dt\| >= ([\d.e-]+),", str(found[0].message))[1])
     assert least == pytest.approx(1e3 * 2.0**-52, rel=5e-3)
     with warnings.catch_warnings():
         warnings.simplefilter("error", fa.StepWarning)
-        fa.propagate(FREE, w0=[0.0, 0.0, 1.0], dt=least, method="rk4", **start)
+        fa.propagate(FREE, w0=w0[0], dt=least, **start)
 
 
-@pytest.mark.parametrize("method", ["strang2", "kahan_li6"])
+@pytest.mark.parametrize("method", ["strang2", "kahan_li8"])
 def test_the_angle_of_a_splitting_is_that_of_its_rotors(method):
     """|m| h √((1/I1 − 1/I2)(1/I2 − 1/I3)) of a free body; in units of a torque's own limit else."""
     moments, w, record = np.array([0.5, 0.8, 1.0]), np.array([8.0, 5.0, -7.0]), fa.METHODS[method]
@@ -395,16 +333,6 @@ def test_the_angle_of_a_splitting_is_that_of_its_rotors(method):
         told = f"a step of body 0 is {angle:.3g} rad by the measure 'asymmetry', {method}"
         with pytest.warns(fa.StepWarning, match=told):
             fa.propagate(scene, [1, 0, 0, 0], w, dt=1.0, n_steps=1, method=method)
-
-
-def test_the_remedy_of_per_body_steps_is_that_of_the_body_that_is_named():
-    with pytest.warns(fa.StepWarning, match="a step of body 1 is 4 rad") as found:
-        fa.propagate(
-            FREE, [1, 0, 0, 0], [[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], dt=[1.0, 0.5], n_steps=[1, 2],
-            method="rk4",
-        )  # fmt: skip
-    limit = fa.METHODS["rk4"].limit("quat")
-    assert remedy(str(found[0].message)) == pytest.approx(limit / 8.0, rel=5e-3)
 
 
 def test_strong_damping_is_warned_of():
@@ -422,7 +350,7 @@ def test_strong_damping_is_warned_of():
     assert damped.w[-1] == pytest.approx(0.01 * np.exp(-10.0 * 2.0 / np.array(inertia)), rel=0.03)
 
 
-@pytest.mark.parametrize("method", ["strang2", "suzuki4", "kahan_li6", "kahan_li8"])
+@pytest.mark.parametrize("method", ["strang2", "kahan_li8"])
 def test_splittings_under_strong_damping(method):
     """What a stage backwards makes of damping is flagged before it is wrong."""
     rng = np.random.default_rng(6)
@@ -434,7 +362,7 @@ def test_splittings_under_strong_damping(method):
     limit = fa.METHODS[method].damping_limit
     call = {"q0": [1, 0, 0, 0], "w0": w0, "n_steps": 1}
     for share, flagged in ((1.01, True), (0.99, False)):
-        torque = fa.torques.Damping(share * limit * least)
+        torque = fa.torques.Damping(share * limit * least[:, None])
         scene = fa.Scene(inertia=inertia, torque=torque)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore" if flagged else "error", fa.StepWarning)
@@ -450,20 +378,18 @@ def test_fastest_decay_of_every_damping():
     for model, expected in (
         (None, 0.0),
         (t.Damping(3.0), [6.0, 3.0]),
-        (t.Damping([3.0, 1.0]), [6.0, 1.0]),
-        (t.AxisDamping((0.1, 0.2, 0.3)), [0.6, 0.3]),
+        (t.Damping([[3.0], [1.0]]), [6.0, 1.0]),
+        (t.Damping((0.1, 0.2, 0.3)), [0.6, 0.3]),
         (t.QuaternionPD(1.0, 2.0), [4.0, 2.0]),
         (t.QuaternionPD(1.0, (1.0, 2.0, 0.5)), [4.0, 2.0]),
         (t.QuaternionPD(1.0, [[[2.0]], [[1.0]]]), [4.0, 1.0]),
-        (t.Sum((t.Damping(1.0), t.AxisDamping((1.0, 0.0, 0.0)))), [4.0, 2.0]),
+        (t.Sum((t.Damping(1.0), t.Damping((1.0, 0.0, 0.0)))), [4.0, 2.0]),
     ):
         found = np.broadcast_to(t.fastest_decay(model, moments), 2)
         assert found == pytest.approx(np.broadcast_to(expected, 2))
 
 
-@pytest.mark.parametrize(
-    "method", ["hold", "trapezoid", "previous", "coning2", "coning3", "picard"]
-)
+@pytest.mark.parametrize("method", ["hold", "trapezoid", "previous", "coning2", "picard"])
 def test_samples_too_far_apart_are_warned_of(method):
     limit = fa.METHODS[method].limit("rates")
     rates = np.zeros((3, 500, 3))
@@ -478,30 +404,26 @@ def test_samples_too_far_apart_are_warned_of(method):
         fa.integrate_rates(rates[1], 1.0, method=method)
 
 
-@pytest.mark.parametrize("method", [m for m in METHODS if fa.METHODS[m].is_stepped])
+@pytest.mark.parametrize("method", ["rk4", "kahan_li8", "dmv10"])
 def test_rates_of_any_size_are_right_or_flagged(method):
     """Products of rates underflow, their squares overflow: the turn in a step is the same."""
-    scene = fa.Scene(inertia=(0.6, 0.8, 1.0))
-    w = np.array([[0.5, -0.3, 0.8], [0.3, 0.9, 0.2]])
-    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    usual = fa.propagate(scene, q0, w, dt=0.1, n_steps=40, method=method)
-    scales_without_products = fa.METHODS[method].measure != "angle"
+    scene, record = fa.Scene(inertia=(0.6, 0.8, 1.0)), fa.METHODS[method]
+    w, steps = np.array([[0.5, -0.3, 0.8], [0.3, 0.9, 0.2]]), {"n_steps": 40, "method": method}
+    usual = fa.propagate(scene, [1, 0, 0, 0], w, dt=0.1, **steps)
     for size in (1e-250, 1e-163, 1e-160, 1e-150, 1e150, 1e200, 1e250):
-        run = fa.propagate(
-            scene, q0, w * size, dt=0.1 / size, n_steps=40, method=method, invalid="flag"
-        )
+        given = {"dt": 0.1 / size, "invalid": "flag", **steps}
+        run = fa.propagate(scene, [1, 0, 0, 0], w * size, **given)
         right = fa.angle_between(run.q[-1], usual.q[-1]) < 1e-9
         assert (right | (run.status != 0)).all()
-        if not fa.METHODS[method].iterates:
+        if not record.iterates:
             assert not (run.status & fa.Status.NOT_CONVERGED).any()
-        if scales_without_products or 1e-155 < size < 1e155:
+        if record.measure != "angle" or 1e-155 < size < 1e155:
             assert right.all()
             assert not run.has_flags
-    still = fa.propagate(scene, q0, w * 1e-200, dt=0.1, n_steps=40, method=method)
-    assert not still.has_flags
+    assert not fa.propagate(scene, [1, 0, 0, 0], w * 1e-200, dt=0.1, **steps).has_flags
 
 
-@pytest.mark.parametrize("method", ["rk4", "rkmk4", "cf4", "strang2", "rk8"])
+@pytest.mark.parametrize("method", ["rk4", "rkmk4", "cf4", "strang2"])
 def test_a_body_spun_up_from_rest_is_monitored(method):
     """The momentum that it has at first says nothing of the rotation angles of later steps."""
     scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Constant((0.0, 0.0, 1.0)))
@@ -511,21 +433,42 @@ def test_a_body_spun_up_from_rest_is_monitored(method):
     assert int(run.status[0]) & fa.Status.STEP_TOO_LARGE
 
 
-DAMPED_SLOWLY = fa.Scene(inertia=(3.0, 2.0, 1.2), torque=fa.torques.Damping(1e-3))
-
-
-@pytest.mark.parametrize("method", fa.methods_for(DAMPED_SLOWLY, need="is_stepped"))
+@pytest.mark.parametrize("method", ["rk4", "rkmk4", "kahan_li8"])
 def test_slow_rates_under_a_torque_are_right_or_flagged(method):
     """Without invariants too, no body whose products of rates underflow passes for right."""
-    w0, wanted = np.array([0.7, 1.1, -0.4]), None
+    w0, wanted, steps = np.array([0.7, 1.1, -0.4]), None, {"n_steps": 100, "method": method}
     for size in (1.0, 1e-140, 1e-157, 1e-160, 1e-165, 1e-250):
         scene = fa.Scene(inertia=(3.0, 2.0, 1.2), torque=fa.torques.Damping(1e-3 * size))
-        run = fa.propagate(
-            scene, [1, 0, 0, 0], w0 * size, dt=0.02 / size, n_steps=100, method=method
-        )
+        run = fa.propagate(scene, [1, 0, 0, 0], w0 * size, dt=0.02 / size, **steps)
         wanted = run.q[-1] if wanted is None else wanted
         if not run.status[0]:
             assert fa.angle_between(run.q[-1], wanted) < 1e-10
         assert run.status[0] == 0 or size < 1e-150
     rest = fa.propagate(scene, [1, 0, 0, 0], [0, 0, 0], dt=1e100, n_steps=1, method=method)
     assert not rest.has_flags
+
+
+FLAGGED = {
+    "NON_FINITE": ({"torque": lambda t, q, w, p: (np.sqrt(1.0 - t), 0 * t, 0 * t)}, 0.1, 30),
+    "INVARIANT": ({}, 3.0, 3000),
+}
+
+
+@pytest.mark.parametrize("name", FLAGGED)
+def test_a_run_with_flags_warns_once(name):
+    options, dt, n_steps = FLAGGED[name]
+    scene = fa.Scene(inertia=(3.0, 2.0, 1.0), **options)
+    w0 = [[0.1, 0.2, 0.3]] * 3
+    with pytest.warns(RuntimeWarning, match=rf"^status: found {name} \(3\).*3 of 3 bodies") as told:
+        run = fa.propagate(scene, [1, 0, 0, 0], w0, dt=dt, n_steps=n_steps, method="rk4")
+    assert run.status.all()
+    assert len(told) == 1
+    assert told[0].filename == __file__
+
+
+def test_a_large_step_is_not_warned_of_twice():
+    scene = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    with pytest.warns() as told:
+        run = fa.propagate(scene, [1, 0, 0, 0], [5.0, 2, 3], dt=1.0, n_steps=99, method="rk4")
+    assert run.status & fa.Status.STEP_TOO_LARGE
+    assert [warning.category for warning in told] == [fa.StepWarning]

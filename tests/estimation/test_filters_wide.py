@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import scipy
+from each import each
 from exact import START, angle, exp, matrix, mul
 
 import fastatt as fa
@@ -30,7 +31,7 @@ def filters(deviation, seed):
 
 
 @pytest.mark.filterwarnings("ignore:measured. an attitude")  # of one filter in 2000
-@pytest.mark.parametrize(("deviation", "sigma"), [(0.2, 1e-2), (0.2, 1e-3), (0.4, 1e-2)])
+@pytest.mark.parametrize(("deviation", "sigma"), [(0.2, 1e-3), (0.4, 1e-2)])
 def test_wide_starts_are_consistent_from_the_first_vector_on(deviation, sigma):
     """Two directions, 40 degrees apart, by turns: one linear update alone has 35 of 6."""
     rng, bias, mekf, ukf = filters(deviation, seed=1)
@@ -71,26 +72,6 @@ def test_wide_starts_are_consistent_by_what_a_user_defined_function_observes():
         assert 4.8 < np.mean(ukf.nees(START, bias)) < 6.0 + BAND
 
 
-@pytest.mark.parametrize("deviation", [0.2, 0.5])
-def test_wide_starts_are_consistent_by_attitudes(deviation):
-    """A star tracker's, whose rotation about the line of sight is known ten times less well."""
-    rng, bias, mekf, ukf = filters(deviation, seed=3)
-    sigma = np.array([1e-3, 1e-3, 1e-2])
-    for _ in range(3):
-        seen = mul(START, exp(sigma * rng.normal(size=(N, 3))))
-        for f in (mekf, ukf):
-            f.update_attitude(seen, sigma)
-            assert abs(np.mean(f.nees(START, bias)) - 6.0) < BAND
-
-
-def rested(seed, along):
-    """Samples at rest."""
-    rng = np.random.default_rng(seed)
-    gyro = np.array([3e-3, -2e-3, 1e-3]) + rng.normal(0.0, 2e-3, (400, 3))
-    accel = matrix(along).T @ (9.81 * UP) + rng.normal(0.0, 0.05, (400, 3))
-    return rng, gyro, accel
-
-
 def heading(f):
     """Deviation of the rotation about the vertical, rad."""
     up = matrix(f.q).T @ UP
@@ -98,18 +79,22 @@ def heading(f):
 
 
 def test_a_heading_that_nothing_measures_stays_unknown():
-    """After a start without a magnetometer, through rest, turns and an accelerometer's updates."""
-    rng, gyro, accel = rested(4, START)
-    start = es.static_start(gyro, accel, sigma=2e-3)
-    mekf = es.MEKF(start.q, start.covariance, bias=start.bias, **NO_NOISE)
-    ukf = es.UKF(start.q, start.bias, start.covariance)
+    """After a start that knows the vertical alone, through rest, turns and an accelerometer."""
+    rng, bias = np.random.default_rng(4), np.array([3e-3, -2e-3, 1e-3])
+    up = matrix(START).T @ UP
+    unknown = np.outer(up, up)
+    P = scipy.linalg.block_diag(
+        2e-3**2 * (np.eye(3) - unknown) + np.pi**2 * unknown, 1e-4**2 * np.eye(3)
+    )
+    mekf = es.MEKF(START, P, bias=bias, **NO_NOISE)
+    ukf = es.UKF(START, bias, P)
     truth = START
     for k in range(200):
         rate = np.array([0.3, -0.2, 0.1]) * (k > 50)
         truth = mul(truth, exp(0.05 * rate))
         seen = matrix(truth).T @ UP + rng.normal(0.0, 5e-3, 3)
-        mekf.predict(rate + start.bias, 0.05)
-        ukf.predict(es.gyro_motion(rate + start.bias, 0.05), np.zeros((6, 6)))
+        mekf.predict(rate + bias, 0.05)
+        ukf.predict(es.gyro_motion(rate + bias, 0.05), np.zeros((6, 6)))
         for f in (mekf, ukf):
             f.update_vector(seen, UP, 5e-3)
     for f in (mekf, ukf):
@@ -122,7 +107,7 @@ def test_a_heading_that_nothing_measures_stays_unknown():
 
 
 # 2.3748 rad times √(6 + 1) is a whole turn: all sigma points were one attitude
-@pytest.mark.parametrize("deviation", [0.5, 1.0, 1.19, 2.3748, np.pi, 6.0])
+@each("deviation", [0.5, 1.0, 1.19, 2.3748, np.pi, 6.0])
 def test_a_motion_keeps_what_is_not_known(deviation):
     P = np.diag([1e-4, 4e-4, deviation**2, *P_BIAS])
     axes = matrix(exp(np.array([0.5, -1.0, 0.7])))
@@ -136,7 +121,7 @@ def test_a_motion_keeps_what_is_not_known(deviation):
         assert np.abs(f.covariance - g.covariance).max() < 1e-4 * max(1.0, deviation) ** 2
 
 
-@pytest.mark.parametrize("seconds", [0.5, 2.0, 2.3748, 5.0])
+@each("seconds", [0.5, 2.3748, 5.0])
 def test_a_rate_that_is_not_known_spreads_the_attitude(seconds):
     """Of a sphere with 1 rad/s about each axis: after T s T rad, which a turn would have folded."""
     f = es.UKF(START, np.zeros(3), np.diag([1e-4] * 3 + [1.0] * 3))
@@ -151,7 +136,9 @@ def test_warnings():
     one, other = es.MEKF(START, P, **NO_NOISE), es.UKF(START, np.zeros(3), P)
     seen = matrix(mul(START, exp(np.array([0.0, 0.0, 2.0])))).T @ FIELD
     for f in (one, other):
-        with pytest.warns(UserWarning, match=r"known too little .* attitude_from_vectors"):
+        with pytest.warns(
+            UserWarning, match="known too little .* begin with an attitude that is known better"
+        ):
             f.update_vector(seen, FIELD, 0.01)
     third = es.UKF(START, np.zeros(3), P)
     with pytest.warns(UserWarning, match="known too little"):

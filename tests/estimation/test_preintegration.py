@@ -7,7 +7,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from differences import attitude_errors, derivative, displaced
-from numba import njit, types
+from each import each
 from oracle import EPS, hat, quat_matrix, vec
 
 import fastatt as fa
@@ -44,7 +44,7 @@ def largest(a):
     return float(max(abs(c) for c in a))
 
 
-@pytest.mark.parametrize("rate", [0.0, 1e-8, 1.0, 2 * math.pi / H * 0.999, 100.0 / H])
+@each("rate", [0.0, 1e-8, 1.0, 2 * math.pi / H * 0.999, 100.0 / H])
 def test_increments(rate):
     axis = np.array([[2.0, -1.0, 2.0]]) / 3.0
     gyro = GYRO if rate == 1.0 else np.repeat(rate * axis, N, axis=0)
@@ -105,58 +105,6 @@ def test_covariance_of_held_noise(biased):
     assert (covariance == covariance.T).all()
 
 
-def test_covariance_is_that_of_simulated_logs(biased):
-    """20000 noisy logs: the sample's own band, 5 sigma."""
-    n = 20_000
-    generator = np.random.default_rng(2)
-    gyro = GYRO + SIGMA_G / math.sqrt(H) * generator.normal(size=(n, N, 3))
-    accel = ACCEL + SIGMA_A / math.sqrt(H) * generator.normal(size=(n, N, 3))
-    found = estimation.preintegrate(gyro, accel, H)
-    # ΔR_true = ΔR exp(δφ): from the noisy to the true one
-    theta = -attitude_errors(biased.rotation[0], found.rotation)
-    errors = np.hstack(
-        [theta, biased.velocity[0] - found.velocity, biased.position[0] - found.position]
-    )
-    q = biased.covariance[0]
-    d = np.diag(q)
-    band = 5 * np.sqrt((np.outer(d, d) + q**2) / n)
-    # beyond first order: |δφ|² of some 4e-3
-    band += 4e-3 * np.sqrt(np.outer(d, d))
-    assert (np.abs(errors.T @ errors / n - q) <= band).all()
-
-
-def test_users_code_in_single_precision(biased):
-    """The rotation, its Jacobian and covariance, which are there whatever the specific force."""
-
-    @njit
-    def user(gyro, h, g):
-        s = kernels.begin(h)
-        o = h - h
-        for i in range(len(gyro)):
-            s = kernels.add_sample(s, (gyro[i, 0], gyro[i, 1], gyro[i, 2]), (o, o, o), h, g, o)
-        return s.rotation
-
-    narrow = np.float32
-    single = user(GYRO.astype(narrow), narrow(H), narrow(SIGMA_G**2))
-    (signature,) = user.nopython_signatures
-    assert leaves(signature.return_type) == {types.float32}
-    bound = 8 * np.finfo(narrow).eps
-    assert np.abs(np.subtract(single.q, biased.rotation[0])).max() <= bound
-    assert np.abs(np.reshape(single.jacobian, (3, 3)) - biased.rotation_gyro[0]).max() <= bound
-    true = biased.covariance[0, :3, :3][np.triu_indices(3)]
-    assert np.abs(np.subtract(single.covariance, true)).max() <= bound * true.max()
-
-
-def test_sample_by_sample(biased):
-    stepwise = estimation.Preintegrator(**NOISE)
-    for w, a in zip(GYRO, ACCEL, strict=True):
-        stepwise.add(w, a, H)
-    row = biased.rows[0]
-    assert np.abs(stepwise.result.rows[0] - row).max() <= 4 * EPS * np.abs(row).max()
-    stepwise.reset()
-    assert stepwise.result.duration == 0.0
-
-
 def test_the_state_between_samples_is_what_the_kernels_take(biased):
     bias = np.array([0.1, -0.2, 0.05])
     one = estimation.Preintegrator(gyro_bias=bias, accel_bias=2 * bias, **NOISE)
@@ -172,6 +120,10 @@ def test_the_state_between_samples_is_what_the_kernels_take(biased):
     assert (other.result.rows == kept.rows).all()
     other.add(GYRO[1], ACCEL[1], H)
     assert (other.result.rows == one.result.rows).all()
+    whole = estimation.preintegrate(
+        GYRO[:2], ACCEL[:2], H, gyro_bias=bias, accel_bias=2 * bias, **NOISE
+    ).rows[0]
+    assert np.abs(one.result.rows[0] - whole).max() <= 4 * EPS * np.abs(whole).max()
     before = one.result.rows
     for wrong in ([np.nan, 0.0, 0.0], [0.0, -np.inf, 0.0]):
         with pytest.raises(ValueError, match=r"gyro\[[01]\] is (nan|-inf)"):
@@ -181,12 +133,8 @@ def test_the_state_between_samples_is_what_the_kernels_take(biased):
     with pytest.raises(ValueError, match="dt: found inf; accepted"):
         one.add(GYRO[0], ACCEL[0], np.inf)
     assert (one.result.rows == before).all()
-
-
-def leaves(ty):
-    if isinstance(ty, types.BaseTuple):
-        return set().union(*(leaves(part) for part in ty))
-    return {ty}
+    one.reset()
+    assert one.result.duration == 0.0
 
 
 def test_gyro_alone(biased):
@@ -228,7 +176,7 @@ def test_prediction_and_correction():
     assert [x.shape for x in many] == [(4, 4), (4, 3), (4, 3)]
 
 
-@pytest.mark.parametrize(
+@each(
     ("call", "message"),
     [
         (lambda: estimation.preintegrate(GYRO, ACCEL[:3], H), r"accel: has shape \(3, 3\)"),
@@ -248,3 +196,46 @@ def test_prediction_and_correction():
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def for_gtsam(imu, *, tangent):
+    """As the guide to filters has it."""
+    angles, along_j = np.eye(3), np.eye(3)
+    if tangent:
+        angles = estimation.right_jacobian_inverse(fa.quat_to_rotation_vector(imu.rotation))
+    else:
+        along_j = fa.quat_to_dcm(imu.rotation).T
+    errors = np.kron(np.diag([1.0, 0.0, 0.0]), angles) + np.kron(np.diag([0.0, 1.0, 1.0]), along_j)
+    order = [0, 1, 2, 6, 7, 8, 3, 4, 5]
+    return (errors @ imu.covariance @ errors.T)[np.ix_(order, order)]
+
+
+@pytest.mark.parametrize("tangent", [True, False])
+def test_the_guides_covariance_is_that_of_gtsams_errors(tangent):
+    """Of 40 000 noisy logs that turn by 1.7 rad: (θ, p, v), or of errors along the axes at j.
+
+    GTSAM's TangentPreintegration holds θ = log ΔR, Δp and Δv; NavState::localCoordinates, of which
+    ManifoldPreintegration has the covariance, log(ΔRᵀ ΔR'), ΔRᵀ (Δp' − Δp), ΔRᵀ (Δv' − Δv).
+    """
+    n, samples, sigma_g, sigma_a = 40_000, 10, 1e-2, 1e-1
+    gyro, accel = np.tile([2.0, -1.0, 2.6], (samples, 1)), np.tile([1.0, 5.0, 9.0], (samples, 1))
+    known = estimation.preintegrate(gyro, accel, H, gyro_noise=sigma_g, accel_noise=sigma_a)
+    chance = np.random.default_rng(0)
+    noisy = estimation.preintegrate(
+        gyro + sigma_g / H**0.5 * chance.normal(size=(n, samples, 3)),
+        accel + sigma_a / H**0.5 * chance.normal(size=(n, samples, 3)),
+        H,
+    )
+    way, speed = noisy.position - known.position, noisy.velocity - known.velocity
+    if tangent:
+        turn = fa.quat_to_rotation_vector(noisy.rotation)
+    else:
+        turn = estimation.attitude_error(known.rotation, noisy.rotation)
+        way, speed = (x @ fa.quat_to_dcm(known.rotation) for x in (way, speed))
+    found = np.cov(np.concatenate([turn, way, speed], axis=1).T)
+    expected = for_gtsam(known, tangent=tangent)
+    size = np.sqrt(np.diag(expected))
+    # of a correlation five standard errors, and the second order of turns of 0.01 rad
+    assert np.abs((found - expected) / np.outer(size, size)).max() < 5.0 * (2.0 / n) ** 0.5
+    other = for_gtsam(known, tangent=not tangent)
+    assert np.abs((found - other) / np.outer(size, size)).max() > 0.2

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
-from itertools import product
 
 import numpy as np
 import pytest
 from allocations import counted, is_made_in
-from exact import LENGTHY, START, exp, generic, mul
-from exact import representations as representations_of
+from each import each
+from exact import START, generic
 from numba import njit, prange
 from numba.core.errors import TypingError
 from test_body_methods import FREE, INERTIA, Q0, W0, torqued
 from test_translation import BODY, R0, SPIN, V0
 
 import fastatt as fa
-from fastatt.attitudes import ATTITUDES
 
 EPS = 2.0**-52
 MOTION = generic(3)
@@ -81,42 +76,15 @@ def scene_for(kind):
     return {"rate": MOTION.scene, "free": FREE}.get(kind) or torqued(INERTIA, motion=0.0)
 
 
-KINDS = {"torque": "torqued", "free": "free", "rate": "rate"}
+# a derivative, an exponential, a splitting and an iteration, on coordinates and matrices too
+REPRESENTATIVES = [
+    ("torque", "rk4", "quat"), ("rate", "rk4", "euler313"), ("rate", "magnus4", "quat"),
+    ("rate", "magnus4", "dcm"), ("torque", "kahan_li8", "quat"), ("free", "dmv10", "quat"),
+]  # fmt: skip
 
 
-def combinations():
-    """Every method on quaternions in the hardest scene that it takes, else one of each sort.
-
-    With what is compared: of those with a state of their own, not first of their sort, a run by
-    ``advance`` alone, as their step is the same formulas in one function. Elsewhere than at given
-    rates one other representation stands for all.
-    """
-    found, seen = [], set()
-    for m in (m for m in fa.METHODS.values() if m.is_stepped):
-        left_out = {"torque"} if m.name in LENGTHY else set()
-        kinds = [k for k, scene in KINDS.items() if scene in m.scenes and k not in left_out]
-        own = m.steps.stage is not None
-        for kind, rep in product(kinds, representations_of(m)):
-            usual = rep == "quat"
-            named = rep if kind == "rate" else usual
-            sort = kind, named, m.exponentials > 0, own, m.sorted_axes, len(m.stages) > 0
-            first = sort not in seen and (usual or kind != "torque")
-            runs = ["step"] * (first or not own) + ["advance"] * (own and usual)
-            if first or (usual and kind == kinds[0]):
-                found.append((kind, m.name, rep, runs))
-                seen.add(sort)
-    return found
-
-
-ALL = combinations()
-
-
-def test_every_method_that_steps_is_tested():
-    assert {m for _, m, *_ in ALL} == {m.name for m in fa.METHODS.values() if m.is_stepped}
-
-
-@pytest.mark.parametrize(("kind", "method", "representation", "runs"), ALL)
-def test_steps_are_the_engines_bit_for_bit(kind, method, representation, runs, allocations):
+@pytest.mark.parametrize(("kind", "method", "representation"), REPRESENTATIVES)
+def test_steps_are_the_engines_bit_for_bit(kind, method, representation, allocations):
     """Splittings stay in their own state there, and go out of it and back at each step here."""
     scene = scene_for(kind)
     options = {"method": method, "representation": representation}
@@ -130,21 +98,15 @@ def test_steps_are_the_engines_bit_for_bit(kind, method, representation, runs, a
     def alone(run, n):
         return [np.hstack(run(stepper, b, n, *(a[b] for a in start))) for b in range(len(start[0]))]
 
-    if "step" in runs:
-        assert np.array_equal(alone(one_by_one, 1), engine(1))
-        before = allocations()
-        three = alone(one_by_one, 3)
-        assert allocations() == before
-        # to go out and back is two rotations or kicks a step, a few ulps each
-        own_state = fa.METHODS[method].steps.stage is not None
-        assert np.abs(np.array(three) - engine(3)).max() <= (32 * EPS if own_state else 0.0)
-    if "advance" in runs:
+    assert np.array_equal(alone(one_by_one, 1), engine(1))
+    before = allocations()
+    three = alone(one_by_one, 3)
+    assert allocations() == before
+    # to go out and back is two rotations or kicks a step, a few ulps each
+    own_state = fa.METHODS[method].steps.stage is not None
+    assert np.abs(np.array(three) - engine(3)).max() <= (32 * EPS if own_state else 0.0)
+    if own_state or representation == "dcm":
         assert np.array_equal(alone(run_by_advance, 3), engine(3))
-
-
-def test_a_run_in_the_own_state_of_a_method_without_one(magnus):
-    found = run_by_advance(magnus, 1, 3, START)
-    assert gap(found, *one_by_one(magnus, 1, 3, START)) == 0.0
 
 
 def test_velocity_and_position_go_along():
@@ -157,8 +119,8 @@ def test_velocity_and_position_go_along():
 def test_other_axes_and_an_inertial_rate():
     tensor = np.array([[2.0, 0.1, 0.05], [0.1, 1.5, -0.2], [0.05, -0.2, 1.0]])
     body = fa.Scene(inertia=tensor)
-    stepper = fa.single_step(body, method="strang2")
-    traj = fa.propagate(body, START, SPIN, dt=H, n_steps=3, n_threads=1, method="strang2")
+    stepper = fa.single_step(body, method="rk4")
+    traj = fa.propagate(body, START, SPIN, dt=H, n_steps=3, n_threads=1, method="rk4")
     assert gap(run_by_advance(stepper, 0, 3, START, SPIN), traj.q[-1], traj.w[-1]) == 0.0
     coning = fa.Scene(rate=fa.rates.Coning(1.0, 1.0), frame="inertial")
     stepper = fa.single_step(coning)
@@ -167,12 +129,11 @@ def test_other_axes_and_an_inertial_rate():
 
 
 @pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize("method", ["magnus4", "rk4"])
-def test_float32(method, shared):
+def test_float32(shared):
     scene = MOTION.shared if shared else MOTION.scene
-    stepper = fa.single_step(scene, method=method, dtype="float32")
+    stepper = fa.single_step(scene, method="magnus4", dtype="float32")
     traj = fa.propagate(
-        scene, START3, dt=H, n_steps=3, t0=0.1, n_threads=1, method=method, dtype="float32"
+        scene, START3, dt=H, n_steps=3, t0=0.1, n_threads=1, method="magnus4", dtype="float32"
     )
     p = stepper.params if shared else stepper.params[2]
     x = np.array(stepper.state(START, body=2))
@@ -211,12 +172,12 @@ def test_the_angle_of_a_splitting_is_what_its_limit_holds_for():
     m = np.linalg.norm(INERTIA[0] * W0[0])
     a, b, c = 1.0 / np.sort(INERTIA[0])
     asymmetry, size = H * m * np.sqrt((a - b) * (b - c)), H * np.linalg.norm(W0[0])
-    free = fa.single_step(fa.Scene(inertia=INERTIA[0]), method="suzuki4")
+    free = fa.single_step(fa.Scene(inertia=INERTIA[0]), method="kahan_li8")
     _, angle = free.step_and_angle(0.0, H, free.state(START, W0[0]), row(free, 0))
     assert angle == pytest.approx(asymmetry, rel=16 * EPS)
-    limits = fa.METHODS["suzuki4"].limits
+    limits = fa.METHODS["kahan_li8"].limits
     asymmetry *= limits["torqued"] / limits["quaternion"]
-    stepper = fa.single_step(torqued(INERTIA, motion=0.0, arm=np.zeros(3)), method="suzuki4")
+    stepper = fa.single_step(torqued(INERTIA, motion=0.0, arm=np.zeros(3)), method="kahan_li8")
     _, angle = stepper.step_and_angle(0.0, H, stepper.state(START, W0[0]), row(stepper, 0))
     assert angle == pytest.approx(max(size, asymmetry), rel=0.05)  # |w| changes on the way
 
@@ -275,7 +236,7 @@ def test_in_a_parallel_loop_and_in_place(user):
 def test_a_callers_fastmath_changes_no_rounding():
     """Inside a loop that may fuse whatever it likes, and is the first to ask for the step."""
     scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0))
-    stepper = fa.single_step(scene, method="rk8")
+    stepper = fa.single_step(scene, method="rk4")
     step = stepper.step
 
     @njit(fastmath=True)
@@ -286,12 +247,12 @@ def test_a_callers_fastmath_changes_no_rounding():
 
     assert not step.signatures
     x = loop(100, H, stepper.state(START, W0[0]), stepper.params)
-    traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=100, n_threads=1, method="rk8")
+    traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=100, n_threads=1, method="rk4")
     assert gap(stepper.read(x, stepper.params), traj.q[-1], traj.w[-1]) == 0.0
 
 
 def test_parameters_as_a_row_of_an_array():
-    stepper = fa.single_step(FREE, method="dmv2")
+    stepper = fa.single_step(FREE, method="rk4")
     p = stepper.params[1]
     x = stepper.start(tuple(START), tuple(W0[1]), p)
     assert x == stepper.start(tuple(START), tuple(W0[1]), tuple(p))
@@ -303,18 +264,6 @@ def test_parameters_as_a_row_of_an_array():
     y, e = stepper.enter(0.1, H, x, p)
     y = stepper.advance(0.1, H, y, p, e)
     assert stepper.leave(0.1 + H, H, H, y, p, e) == expected
-
-
-def test_a_users_rate():
-    @njit
-    def constant(t, p):
-        return 0.0 * t, p[0], 2.0 * p[0]
-
-    stepper = fa.single_step(fa.Scene(rate=constant, params=(0.3,)))
-    assert stepper.method == "magnus4"
-    x = stepper(0.0, H, stepper.state(START))
-    expected = mul(START, exp([0.0, 0.3 * H, 0.6 * H]))
-    assert gap([stepper.attitude(x)], expected) <= ULPS
 
 
 def test_a_users_rate_that_is_no_straight_line():
@@ -337,7 +286,7 @@ def test_methods_and_representations_of_ones_own():
     middle = fa.lie_group(
         "middle", order=2, exponents=lambda w, t, h: (tuple(h * x for x in w(t + h / 2)),)
     )
-    for method, representation in ((heun, ATTITUDES["dcm"]), (middle, "quat")):
+    for method, representation in ((heun, "dcm"), (middle, "quat")):
         options = {"method": method, "representation": representation}
         stepper = fa.single_step(MOTION.shared, **options)
         assert stepper.method == method.name
@@ -353,49 +302,6 @@ def test_scenes_that_differ_in_numbers_alone_share_what_is_compiled():
     assert one.read is other.read
     x = one.state(START, W0[0])
     assert one(0.0, H, x) != other(0.0, H, x)
-
-
-def test_scenes_with_tables_of_their_own():
-    for k in (1.0, 2.0):
-        torque = fa.torques.Sampled(k * np.linspace(0.0, 0.5, 9).reshape(3, 3), 0.1)
-        scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=torque)
-        stepper = fa.single_step(scene, method="rk4")
-        traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=3, n_threads=1, method="rk4")
-        found = one_by_one(stepper, 0, 3, START, W0[0])
-        assert gap(found, traj.q[-1], traj.w[-1]) == 0.0
-
-
-PLAIN = """
-import numpy as np, fastatt as fa
-top = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0))
-fast = fa.Scene(rate=fa.rates.Constant((20.0, -30.0, 15.0)))
-for scene, method, w in ((top, "rk4", [0.3, 0.9, -0.5]), (top, "suzuki4", [0.3, 0.9, -0.5]),
-                         (fast, "magnus4", None)):
-    start = [[0.6, 0.0, 0.8, 0.0]] if w is None else [[0.6, 0.0, 0.8, 0.0], w]
-    stepper = fa.single_step(scene, method=method)
-    x = stepper.state(*start)
-    y, e = stepper.enter(0.0, 0.1, x, stepper.params)
-    for i in range(2):
-        x, _ = stepper.step_and_angle(0.1 * i, 0.1, x, stepper.params)
-        y = stepper.advance(0.1 * i, 0.1, y, stepper.params, e)
-    y = stepper.leave(0.2, 0.2, 0.1, y, stepper.params, e)
-    traj = fa.propagate(scene, *start, dt=0.1, n_steps=2, method=method)
-    assert np.array_equal(stepper.attitude(y), traj.q[-1]), method
-    assert np.abs(stepper.attitude(x) - traj.q[-1]).max() < 1e-15, method
-    a = np.array(stepper.state(*start), dtype=np.float32)
-    stepper.step_into(0.0, 0.1, a, stepper.params)
-    one = stepper(0.0, 0.1, stepper.state(*start))
-    assert 0.0 < np.abs(a - one).max() < 1e-6, method
-print("plain")
-"""
-
-
-def test_in_plain_python():
-    options = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    found = subprocess.run(
-        [sys.executable, "-c", PLAIN], env=options, capture_output=True, text=True, check=False
-    )
-    assert found.stdout == "plain\n", found.stderr
 
 
 # refusals
@@ -433,11 +339,10 @@ def test_arrays_that_are_too_short():
             assert (beyond == whole).all()
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "message"),
     [
         ({"method": "exact"}, "method: found 'exact'; accepted: rk4, cf4"),
-        ({"method": "magnus4"}, "method: found 'magnus4'; accepted"),
         ({"representation": "gibbs"}, "representation: found 'gibbs'"),
         ({"position": True}, "position: found True"),
     ],
@@ -459,54 +364,35 @@ def test_refusals_of_types(magnus):
     step, x = magnus.step, (1, 0, 0, 0)
     with pytest.raises(TypingError, match=r"step: found an integer .* write 1.0 instead of 1"):
         njit(lambda p: step(0.0, H, x, p))(magnus.params[0])
-    with pytest.raises(ValueError, match=r"^p: found 2 numbers; accepted: 11$"):
-        magnus.step(0.0, H, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0))
-    with pytest.raises(ValueError, match=r"^x: found 3 numbers; accepted: 4$"):
-        magnus.step(0.0, H, (1.0, 0.0, 0.0), row(magnus, 0))
 
 
-def test_numbers_of_any_sort_from_python():
-    """Lists, integers and integer arrays are converted, as read-only arrays need not be."""
-    stepper = fa.single_step(FREE, method="strang2")
-    p = tuple(stepper.params[0].tolist())
-    x, kept = (1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0), np.array([1, 0, 0, 0, 1, 2, 3])
-    fixed = np.array(x)
-    fixed.flags.writeable = False
-    known = stepper.step(0.0, 1.0, x, p)
-    for given in (list(x), kept, kept.tolist(), tuple(kept.tolist()), fixed):
-        assert stepper.step(0, 1, given, list(p)) == known
-        assert stepper.step(t=0, h=1, x=given, p=p) == known
-        assert stepper.step_and_angle(0, 1, given, p)[0] == known
-        assert stepper.read(given, list(p)) == stepper.read(x, p)
-        assert (stepper.attitude(given) == stepper.attitude(x)).all()
-        y, e = stepper.enter(0, 1, given, p)
-        y = stepper.advance(0, 1, np.array(y), list(p), np.array(e))
-        assert stepper.leave(1, 1, 1, list(y), p, e) == pytest.approx(known, rel=1e-14)
-    assert stepper.start([1, 0, 0, 0], kept[4:], p) == stepper.start(x[:4], x[4:], p)
-    array = np.array(x)
-    stepper.step_into(0, 1, array, list(p))
-    assert tuple(array.tolist()) == known
+REFUSED = r"found {}.* among the arguments; accepted are float64 or float32"
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "error", "message"),
+    ("name", "value", "message"),
     [
-        ("t", "0", TypeError, "t: found '0'; accepted: a finite number"),
-        ("x", None, TypeError, "x: found None; accepted: 4 numbers"),
-        ("x", np.ones((2, 4)), ValueError, r"x: has shape \(2, 4\); accepted: \(4,\)"),
-        ("p", [1, 2], ValueError, "p: found 2 numbers; accepted: 11"),
+        ("t", 0, r"step: found an integer among the arguments \(int64, .* write 1.0 instead of 1"),
+        ("t", "0", REFUSED.format("unicode_type")),
+        ("x", (1, 0, 0, 0), "step: found an integer among the arguments"),
+        ("x", [1.0, 0.0, 0.0, 0.0], REFUSED.format("reflected list")),
+        ("x", np.ones((2, 4)), REFUSED.format("array")),
+        ("x", (1.0, 0.0, 0.0), "x: found 3 numbers; accepted: 4"),
+        ("p", (1.0, 2.0), "p: found 2 numbers; accepted: 11"),
     ],
 )
-def test_refusals_of_steps_from_python(magnus, name, value, error, message):
+@pytest.mark.filterwarnings("ignore::numba.core.errors.NumbaPendingDeprecationWarning")
+def test_steps_are_compiled_for_floats_alone(magnus, name, value, message):
+    """From Python too: Numba says what they are not compiled for."""
     given = {"t": 0.0, "h": H, "x": (1.0, 0.0, 0.0, 0.0), "p": row(magnus, 0)}
-    with pytest.raises(error, match=f"^{message}$"):
+    with pytest.raises(TypingError, match=message):
         magnus.step(**given | {name: value})
 
 
-@pytest.mark.parametrize(
-    "x", [[1.0, 0.0, 0.0, 0.0], np.array([1, 0, 0, 0]), np.ones((2, 4)), np.broadcast_to(1.0, 4)]
-)
-def test_a_step_in_place_needs_an_array_that_can_be_written(magnus, x):
-    message = r"^x: found .*; accepted: a writable array of float64 or float32, of shape \(4,\)$"
-    with pytest.raises(TypeError, match=message):
+def test_an_array_that_is_only_read_need_not_be_writable(magnus):
+    x = np.array([1.0, 0.0, 0.0, 0.0])
+    known = magnus.step(0.0, H, x, row(magnus, 0))
+    x.flags.writeable = False
+    assert magnus.step(0.0, H, x, row(magnus, 0)) == known
+    with pytest.raises(TypingError, match="readonly array"):
         magnus.step_into(0.0, H, x, row(magnus, 0))

@@ -233,7 +233,7 @@ def torqued(inertia: Array, drag: Array, weight: Array, arm: Array) -> fa.Scene:
     terms = (
         fa.torques.GravityGradient(np.zeros(n)),
         fa.torques.HeavyTop(arm, weight),
-        fa.torques.Damping(drag),
+        fa.torques.Damping(drag[:, None]),
     )
     return fa.Scene(inertia=inertia, torque=fa.torques.Sum(terms))
 
@@ -262,7 +262,8 @@ def damping(x: float) -> Column:
             left = np.exp(-rate * t)[:, None]
             turned = w * -np.expm1(-rate * t)[:, None] / rate[:, None]
             size = np.linalg.norm(w, axis=1)
-            off = np.linalg.norm(np.asarray(got.w[s], float) - left * w, axis=1) / size
+            with np.errstate(over="ignore"):  # then the error is infinite
+                off = np.linalg.norm(np.asarray(got.w[s], float) - left * w, axis=1) / size
             off = np.maximum(off, angle(got.q[s], mul(q0, exp(turned))) / size)
             error = np.maximum(error, off)  # NaN stays
         order = case.record.order

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -56,22 +55,3 @@ def energy(case: Case, n_steps: int, saves: int = 200, h: float = 0.1) -> Drift:
 def keeps_energy(record: fa.Method) -> bool:
     """Whether the energy of bodies swings about its value: of symmetric steps."""
     return not {"free", "torqued"}.isdisjoint(record.reversible)
-
-
-def energy_table(n_steps: int) -> Iterable[str]:
-    yield from (f"## Energy over {n_steps:.0e} steps".replace("e+0", "e"), "")
-    yield (
-        f"{ENSEMBLE} bodies of moments about (0.6, 0.8, 1), 1 rad/s, steps of 0.1 s. Relative "
-        "to the energy: slope a step with its standard error over the bodies, the largest change, "
-        "and the slope in standard errors."
-    )
-    yield from ("", "| method | slope | ± | largest | slope/± |", "| --- | --- | --- | --- | --- |")
-    for record in fa.METHODS.values():
-        if keeps_energy(record) or record.name == "rk4":
-            d = energy(Case(record.name), n_steps)
-            ratio = d.slope / d.uncertainty
-            yield (
-                f"| {record.name} | {d.slope:.1e} | {d.uncertainty:.1e} | {d.largest:.1e} "
-                f"| {ratio:.1f} |"
-            )
-    yield ""

@@ -2,18 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
 import numpy as np
 
-import fastatt as fa
-from extremes.agreement import (
-    doubling_bodies,
-    doubling_rates,
-    passage,
-    reversal_bodies,
-    reversal_rates,
-)
 from extremes.bodies import (
     SHAPES,
     V,
@@ -27,7 +17,8 @@ from extremes.bodies import (
     turning,
     turning_under_weight,
 )
-from extremes.cases import ANGLES, Case, Column, Outcome, Table
+from extremes.cases import ANGLES, Column, Table
+from extremes.poles import passage
 from extremes.rates import (
     THETAS,
     at_once,
@@ -54,11 +45,6 @@ def scales() -> list[Column]:
 
     factors = (1e200, 1e-200, 1e300, 1e-300, 1e30, 1e-30, 2.5)
     return [*map(column, factors), Column("least", coning(0.1, least))]
-
-
-def has_order(case: Case) -> bool:
-    """Whether half the step tells the error: not of angles near a pole, nor of the closed form."""
-    return case.representation not in ANGLES and case.record.order > 0
 
 
 def poles(*, body: bool) -> list[Column]:
@@ -175,19 +161,6 @@ TABLES = (
         )
         for body in (False, True)
     ),
-    *(
-        Table(
-            f"Agreement with itself, {name}",
-            "Half the step: error as a run of half the step tells it, less the true one, rad. "
-            "Reversal: 200 steps of 0.05 s and back, rad.",
-            scene,
-            [Column("half the step", half, has_order), Column("reversal", back)],
-        )
-        for name, scene, half, back in (
-            ("coning", "rate", doubling_rates, reversal_rates),
-            ("free bodies", "free", doubling_bodies, reversal_bodies),
-        )
-    ),
     Table(
         "Many steps, constant rate",
         "Columns: steps of 0.006 rad. Error, rad.",
@@ -218,39 +191,3 @@ TABLES = (
         for name, a in (("constant", 0.0), ("coning", 1.0))
     ),
 )
-
-
-def cases(*, quick: bool = False) -> list[Case]:
-    """All rows there are."""
-    return [
-        Case(m.name, r, d)
-        for m in fa.METHODS.values()
-        for r in (m.representations[:1] if quick else m.representations)
-        for d in (("float64",) if quick else ("float64", "float32"))
-    ]
-
-
-def row(case: Case) -> dict[tuple[str, str], Outcome]:
-    """All cells of a row, by table and column."""
-    return {
-        (table.title, column.name): column.run(case)
-        for table in TABLES
-        if table.scene in case.record.scenes
-        for column in table.columns
-        if column.fits(case)
-    }
-
-
-def lines(table: Table, rows: Mapping[Case, Mapping[tuple[str, str], Outcome]]) -> Iterable[str]:
-    """A table in Markdown."""
-    names = [column.name for column in table.columns]
-    yield from (f"## {table.title}", "", table.text, "")
-    yield f"| method | on | {' | '.join(names)} |"
-    yield f"| --- | --- |{' --- |' * len(names)}"
-    for case, cells in rows.items():
-        found = [cells.get((table.title, name)) for name in names]
-        if any(found):
-            on = case.representation + (" f32" if case.dtype == "float32" else "")
-            text = " | ".join(cell.text if cell else "" for cell in found)
-            yield f"| {case.method} | {on} | {text} |"
-    yield ""

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 
 import fastatt as fa
-from fuzz.draw import ODD, WORDS, Draw
-from fuzz.judge import Call, anything, floats, unit
-from fuzz.models import inertia
-from fuzz.runs import ARGUMENTS
+from fuzz.draw import WORDS, Draw
+from fuzz.judge import Call, floats, unit
 
 CONVERSIONS: tuple[tuple[Callable[..., Any], tuple[tuple[int, ...], ...], str, str], ...] = (
     (fa.quat_to_dcm, ((4,), (5, 4), (2, 3, 4)), "q", ""),
@@ -69,7 +67,7 @@ def combined(d: Draw) -> Call:
     return Call(function, (a, b), {}, judge, names)
 
 
-METHODS = ("hold", "trapezoid", "previous", "coning2", "coning3")
+METHODS = ("hold", "trapezoid", "previous", "coning2", "picard")
 
 
 def integrated(d: Draw, methods: tuple[str, ...] = METHODS) -> Call:
@@ -92,60 +90,3 @@ def integrated(d: Draw, methods: tuple[str, ...] = METHODS) -> Call:
             options[name] = value()
     names = ("rates", "dt", "q0", "method", "dtype", "n_threads", "max_gap", "out", "increments")
     return Call(fa.integrate_rates, (rates, dt), options, unit, names)
-
-
-def differentiated(d: Draw) -> Call:
-    n = d.one((3, 5, 6, 9))
-    q = d.array((n, 4), (n, 4), (n, 2, 4))
-    dt = d.real() if d.chance(0.7) else d.array((n - 1,), (n,))
-    options: dict[str, Any] = {}
-    if d.chance(0.3):
-        options["frame"] = d.word("body", "inertial")
-    if d.chance(0.3):
-        options["order"] = d.whole()
-
-    def judge(w: Any) -> str | None:
-        step = floats(dt)
-        if step is None or not ((step > 1e-100) & (step < 1e100)).all():
-            return None
-        return None if np.isfinite(w).all() else "not finite"
-
-    return Call(fa.angular_velocity, (q, dt), options, judge, ("q", "dt", "frame", "order"))
-
-
-def energetic(d: Draw) -> Call:
-    which = d.random.randrange(3)
-    w, body = d.array((3,), (2, 3), (4, 2, 3)), inertia(d)
-    names: tuple[str, ...] = ("w", "inertia", "q")
-    if which == 0:
-        q = {"q": d.array((4,), (2, 4))} if d.chance(0.5) else {}
-        return Call(fa.angular_momentum, (w, body), q, anything, names)
-    if which == 1:
-        return Call(fa.kinetic_energy, (w, body), {}, anything, names)
-    scene = d.one((TOP, TOP, NO_POTENTIAL, None, 3))
-    t = {"t": d.array((), (2,))} if d.chance(0.5) else {}
-    args = (scene, d.array((4,), (2, 4), (2, 2, 4)))
-    return Call(fa.potential_energy, args, t, anything, ("scene", "q", "t"))
-
-
-TOP = fa.Scene(inertia=(1.0, 1.0, 0.6), torque=fa.torques.HeavyTop((0.0, 0.0, 0.1), 2.0))
-NO_POTENTIAL = fa.Scene(inertia=(1.0, 1.0, 0.6), torque=fa.torques.Damping(0.1))
-
-
-def drifted(d: Draw) -> Call:
-    odd = d.one((*ODD, TOP))
-    return Call(fa.drift, (odd, d.one((TOP, *ODD))), {}, anything, ("run", "scene"))
-
-
-def listed(d: Draw) -> Call:
-    scene = d.one((TOP, NO_POTENTIAL, fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0)))))
-    if d.chance(0.3):
-        scene = d.one(ODD)
-    if d.chance(0.5):
-        return Call(fa.methods_for, (scene, d.word("quat", "dcm")), {}, anything, ARGUMENTS)
-    options = {
-        "method": d.word("rk4", "rk8"),
-        "representation": d.word("quat", "dcm"),
-        "dtype": d.one((np.float64, "f4", "x", None, 3, [])),
-    }
-    return Call(fa.single_step, (scene,), options, anything, ("scene", *ARGUMENTS))

@@ -105,7 +105,3 @@ def _free_invariants(q: Any, w: Any, moments: Any, ok: Any) -> str | None:
 
 def anything(result: Any) -> str | None:
     return None
-
-
-class Refused(int):
-    """The exit status of a command that refused its input."""

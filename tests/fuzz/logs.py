@@ -88,6 +88,8 @@ def log_file(d: Draw) -> Log:
     if t is None and rate:
         t = np.arange(n) / rate
     scale = next((k for name, k in _SCALES.items() if name in names[0]), 1.0)
+    if not has_names or not any(unit in names[0] for unit in (*_SCALES, "rad/s")):
+        options["unit"], scale = "rad/s", 1.0
     return Log(text.encode(encoding, "replace"), options, rates * scale, t)
 
 

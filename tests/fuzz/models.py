@@ -36,9 +36,13 @@ def modelled(d: Draw, module: Any) -> Any:
         "dipole": ((3,), (2, 3)), "field": ((3,),), "target": ((4,), (2, 4)),
         "momentum": ((3,), (2, 3)), "torques": ((4, 3), (1, 3)),
     }  # fmt: skip
-    return cls(
-        *[d.array(*by_name.get(n, ((), (), (2,))) if d.chance(0.9) else _SHAPES) for n in names]
-    )
+    numbers = [
+        d.array(*by_name.get(n, ((), (), (2,))) if d.chance(0.9) else _SHAPES) for n in names
+    ]
+    try:
+        return cls(*numbers)
+    except (TypeError, ValueError):  # some models check their numbers when they are made
+        return None
 
 
 def inertia(d: Draw) -> Any:

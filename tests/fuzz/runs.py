@@ -72,11 +72,11 @@ RUNS = (
     Run(constant_rate, "magnus4", kinds=("float64", "float32", None)),
     Run(constant_rate, "rk4", "euler313"),
     Run(free_body, "exact"),
-    Run(free_body, "dmv4"),
+    Run(free_body, "dmv10"),
     Run(free_body, "strang2"),
     Run(damped_body, "rk4", "dcm"),
-    Run(moving_body, "rk8"),
-    Run(constant_rate, "lie_midpoint", kinds=("float64", "float32"), compensated=True),
+    Run(moving_body, "rk4"),
+    Run(constant_rate, "magnus4", compensated=True),
     Run(free_body, "rk4", compensated=True),
 )
 ARGUMENTS = (

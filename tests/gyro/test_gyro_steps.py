@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from allocations import counted, is_made_in
+from each import each
 from exact import EPS, START, generic
 from numba import njit
 
@@ -37,22 +38,28 @@ def sample_log(method, increments, n):
     return np.ascontiguousarray(np.moveaxis(values, 0, 1)[0])
 
 
+def of_engine(method, increments):
+    """The window of a method, the samples of its first whole one, and the engine's attitudes."""
+    window = fa.METHODS[method].window
+    log = sample_log(method, increments, window.history + window.span)
+    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
+    return log, engine[window.history :]
+
+
 @pytest.mark.parametrize(("method", "increments"), SAMPLED)
 def test_windows_of_samples_are_the_engines(method, increments, allocations):
-    """The first whole window of a log, in tuples and in arrays."""
+    """In tuples and in arrays."""
     window = steps.sample_step(method, increments=increments)
-    n = window.history + window.span
-    log = sample_log(method, increments, n)
-    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
+    log, engine = of_engine(method, increments)
     out = np.empty((window.span + 1, 4))
-    gaps, work = np.full(n, H), np.empty(window.work)
+    gaps, work = np.full(window.history + window.span, H), np.empty(window.work)
     assert log.shape == (window.samples, 3)
     for _ in range(2):
         before = allocations()
-        out[0] = engine[window.history]
+        out[0] = engine[0]
         window.step_into(log, gaps, out, work)
     assert allocations() == before + 4  # Numba's own, of each array handed over
-    assert np.abs(out - engine[window.history :]).max() <= ULPS
+    assert np.abs(out - engine).max() <= ULPS
     if method == "coning2":  # the named functions call the same kernel for the others
         flat = window.step(tuple(out[0]), tuple(log.ravel().tolist()), tuple(gaps.tolist()))
         assert np.array_equal(np.reshape(flat, (-1, 4)), out[1:])
@@ -66,9 +73,6 @@ CALLS = {
     ("previous", True): lambda q, v: steps.previous_increments(q, *v, H, H),
     ("coning2", False): lambda q, v: steps.coning2(q, *v, H, H),
     ("coning2", True): lambda q, v: steps.coning2_increments(q, *v, H, H),
-    ("coning3", False): lambda q, v: steps.coning3(q, *v, H, H, H),
-    ("coning3", True): lambda q, v: steps.coning3_increments(q, *v, H, H, H),
-    ("coning3_optimal", True): lambda q, v: steps.coning3_optimal_increments(q, *v),
 }
 
 
@@ -76,15 +80,12 @@ def test_every_method_of_samples_has_its_functions():
     assert set(CALLS) == {s for s in SAMPLED if s[0] != "picard"}
 
 
-@pytest.mark.parametrize(("method", "increments"), CALLS)
+@each(("method", "increments"), CALLS)
 def test_functions_of_samples(method, increments):
-    window = fa.METHODS[method].window
-    n = window.history + window.span
-    log = sample_log(method, increments, n)
-    engine = fa.integrate_rates(log, H, START, method=method, increments=increments)
+    log, engine = of_engine(method, increments)
     samples = [tuple(row) for row in log.tolist()]
-    found = CALLS[method, increments](tuple(engine[window.history].tolist()), samples)
-    assert np.abs(np.reshape(found, (-1, 4)) - engine[window.history + 1 :]).max() <= ULPS
+    found = CALLS[method, increments](tuple(engine[0].tolist()), samples)
+    assert np.abs(np.reshape(found, (-1, 4)) - engine[1:]).max() <= ULPS
 
 
 def test_large_angles_of_samples():

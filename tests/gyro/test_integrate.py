@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from itertools import pairwise
 
@@ -12,7 +13,7 @@ from each import each
 from exact import EPS, LADDER, START, angle, cone, coning, conj, exp, generic, mul, observed_order
 
 import fastatt as fa
-from fastatt.gyro.gaps import gaps
+from fastatt.gyro.gaps import cuts
 
 KINDS = [False, True]
 SAMPLED = [
@@ -22,9 +23,12 @@ SAMPLED = [
     if ("increments" if inc else "sampled rates") in m.scenes
 ]
 # of increments hold needs no intervals, and Picard fits both kinds of samples by one routine
-LEFT_OUT = [("coning3_optimal", True), ("hold", True), ("picard", True)]
+LEFT_OUT = [("hold", True), ("picard", True)]
 ANY_INTERVALS = [pair for pair in SAMPLED if pair not in LEFT_OUT]
 on_samples = pytest.mark.parametrize(("method", "increments"), SAMPLED)
+# of windows of one interval, of two, and of those that iterate
+REPRESENTATIVES = [("previous", False), ("coning2", True), ("picard", False)]
+on_representatives = pytest.mark.parametrize(("method", "increments"), REPRESENTATIVES)
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
@@ -32,8 +36,12 @@ END = BODIES.attitude(0.0, SPAN)
 attitude_at = functools.cache(lambda t: BODIES.attitude(0.0, t))
 
 
-def kind(increments):
-    return "increments" if increments else "sampled rates"
+def integrate(data, dt, q0, method, increments, **options):
+    return fa.integrate_rates(data, dt, q0, method=method, increments=increments, **options)
+
+
+def declared(method, increments):
+    return fa.METHODS[method].order_of("increments" if increments else "sampled rates")
 
 
 def samples(bodies, t, increments):
@@ -56,12 +64,11 @@ def test_observed_order_with_equal_intervals(method, increments):
     def error(n):
         assert n % fa.METHODS[method].window.span == 0
         data = samples(BODIES, np.linspace(0.0, SPAN, n + 1), increments)
-        q = fa.integrate_rates(data, SPAN / n, START3, method=method, increments=increments)
+        q = integrate(data, SPAN / n, START3, method, increments)
         return angle(q[:, -1], END).max()
 
-    declared = fa.METHODS[method].order_of(kind(increments))
-    whole = LADDER[LADDER >= 12]
-    assert observed_order(error, ladder=whole) == pytest.approx(declared, abs=0.25)
+    found = observed_order(error, ladder=LADDER[LADDER >= 12])
+    assert found == pytest.approx(declared(method, increments), abs=0.25)
 
 
 # equal intervals make a window symmetric, which is worth an order to these
@@ -83,14 +90,12 @@ def test_observed_order_with_uneven_intervals(method, increments, pattern):
             spans = np.resize([0.7, 1.3], n) if pattern == "alternate" else rng.uniform(0.7, 1.3, n)
             t = np.concatenate([[0.0], np.cumsum(spans * SPAN / spans.sum())])
             data = samples(BODIES, t, increments)
-            q = fa.integrate_rates(data, np.diff(t), START3, method=method, increments=increments)
+            q = integrate(data, np.diff(t), START3, method, increments)
             logs.append(np.log(angle(q[:, -1], END).max()))
         return math.exp(np.mean(logs))
 
-    expected = UNEVEN.get(method, fa.METHODS[method].order_of(kind(increments)))
-    found = observed_order(error)
-    assert found > expected - 0.25
-    assert found < expected + (0.25 if pattern == "alternate" else 1.25)
+    above = observed_order(error) - UNEVEN.get(method, declared(method, increments))
+    assert -0.25 < above < (0.25 if pattern == "alternate" else 1.25)
 
 
 @on_samples
@@ -100,11 +105,10 @@ def test_observed_order_when_the_log_ends_within_a_window(method, increments):
     def error(n):
         h = SPAN / n
         data = samples(BODIES, h * np.arange(n + 2), increments)
-        q = fa.integrate_rates(data, h, START3, method=method, increments=increments)
+        q = integrate(data, h, START3, method, increments)
         return angle(q[:, -1], attitude_at(SPAN + h)).max()
 
-    declared = fa.METHODS[method].order_of(kind(increments))
-    assert observed_order(error) == pytest.approx(declared, abs=0.25)
+    assert observed_order(error) == pytest.approx(declared(method, increments), abs=0.25)
 
 
 # known figures
@@ -119,44 +123,37 @@ def test_coning_with_one_increment_and_the_one_before(h, known):
     assert angle(q[-1], coning(20.0, 1.0, 1.0)) == pytest.approx(known, rel=0.06)
 
 
+CONE, SPEED = math.radians(1.0), 4.0 * math.pi  # half the cone's angle, and 2 Hz
+
+
+def coned(method, h, n):
+    """Angles about the cone's axis from the truth, rad, after each of n increments."""
+    t = h * np.arange(n + 1)
+    inc = samples(cone(CONE, SPEED), t, True)[0]
+    q = fa.integrate_rates(inc, h, coning(0.0, CONE, SPEED), method=method, increments=True)
+    return t, mul(q, conj(coning(t, CONE, SPEED)))[:, 3] * 2.0
+
+
 @pytest.mark.parametrize(
-    ("method", "known"),
-    [
-        ("hold", 1.038),
-        ("coning2", 3.27e-3),
-        ("previous", 3.28e-3),
-        ("coning3", 2.44e-3),
-        ("coning3_optimal", 1.09e-5),
-    ],
+    ("method", "known"), [("hold", 1.038), ("coning2", 3.27e-3), ("previous", 3.28e-3)]
 )
 def test_drift_in_small_coning(method, known):
-    """Half a cone of 1°, 2 Hz, 10 ms: deg/h about the cone's axis, over whole periods.
+    """At 10 ms, deg/h, over whole periods; three digits are known.
 
-    Three digits are known. The first period is left out: it begins without an interval before.
+    The first period is left out: it begins without an interval before.
     """
-    a, omega, h = math.radians(1.0), 4.0 * math.pi, 0.01
-    n = 50 * 60  # 60 periods
-    t = h * np.arange(n + 1)
-    inc = samples(cone(a, omega), t, True)[0]
-    q = fa.integrate_rates(inc, h, coning(0.0, a, omega), method=method, increments=True)
-    turned = mul(q, conj(coning(t, a, omega)))[[150, n], 3] * 2.0
-    drift = math.degrees((turned[1] - turned[0]) / (t[n] - t[150])) * 3600.0
+    t, turned = coned(method, 0.01, 50 * 60)
+    drift = math.degrees((turned[-1] - turned[150]) / (t[-1] - t[150])) * 3600.0
     assert abs(drift) == pytest.approx(known, rel=0.006)
 
 
-@pytest.mark.parametrize(
-    ("method", "n", "divisor"),
-    [("hold", 1, 12.0), ("coning2", 2, 960.0), ("coning3_optimal", 3, 204120.0)],
-)
+@pytest.mark.parametrize(("method", "n", "divisor"), [("hold", 1, 12.0), ("coning2", 2, 960.0)])
 def test_drift_in_small_coning_is_the_formula(method, n, divisor):
     """a²Ω(ΩT)^(2n)/divisor for n samples in each span T, to the next power of ΩT."""
-    a, omega, h = math.radians(1.0), 4.0 * math.pi, 0.005
-    t = h * np.arange(6001)
-    inc = samples(cone(a, omega), t, True)[0]
-    q = fa.integrate_rates(inc, h, coning(0.0, a, omega), method=method, increments=True)
-    turned = mul(q[-1], conj(coning(t[-1], a, omega)))[3] * 2.0 / t[-1]
-    known = a**2 * omega * (omega * n * h) ** (2 * n) / divisor
-    assert abs(turned) == pytest.approx(known, rel=0.05)
+    h = 0.005
+    t, turned = coned(method, h, 6000)
+    known = CONE**2 * SPEED * (SPEED * n * h) ** (2 * n) / divisor
+    assert abs(turned[-1] / t[-1]) == pytest.approx(known, rel=0.05)
 
 
 # one log, many logs
@@ -164,20 +161,7 @@ def test_drift_in_small_coning_is_the_formula(method, n, divisor):
 
 def one_by_one(increments, q0):
     """q0, q0∘exp(θ1), q0∘exp(θ1)∘exp(θ2) … in plain Python order."""
-    q = [np.asarray(q0, float)]
-    for turn in exp(increments):
-        p, r = q[-1], turn
-        q.append(
-            np.array(
-                [
-                    p[0] * r[0] - p[1] * r[1] - p[2] * r[2] - p[3] * r[3],
-                    p[0] * r[1] + p[1] * r[0] + p[2] * r[3] - p[3] * r[2],
-                    p[0] * r[2] - p[1] * r[3] + p[2] * r[0] + p[3] * r[1],
-                    p[0] * r[3] + p[1] * r[2] - p[2] * r[1] + p[3] * r[0],
-                ]
-            )
-        )
-    q = np.array(q)
+    q = np.array([*itertools.accumulate(exp(increments), mul, initial=q0)])
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
@@ -190,30 +174,12 @@ PRODUCT = one_by_one(0.1 * LOG, START)
 @each("increments", KINDS)
 def test_one_log_is_the_plain_product_of_its_turns(n, increments):
     """Held rates over n − 1 intervals are increments; the cuts into stretches leave no trace."""
-    if increments:
-        found = fa.integrate_rates(0.1 * LOG[:n], 1.0, START, method="hold", increments=True)
-    else:
-        found = fa.integrate_rates(LOG[:n], 0.1, START, method="hold")
+    data, dt = (0.1 * LOG[:n], 1.0) if increments else (LOG[:n], 0.1)
+    found = integrate(data, dt, START, "hold", increments)
     assert found.shape == (n + increments, 4)
     # a few roundings a factor in both products
     assert np.abs(found - PRODUCT[: len(found)]).max() < 6 * EPS * (n + 1)
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 24 * 6 * EPS
-
-
-@on_samples
-def test_threads_change_no_bit(method, increments):
-    """Of one log, of a few, and of more than a tile of 16."""
-    dt = 0.1
-    for data in (LOG, LOG.reshape(4, 5000, 3), LOG.reshape(40, 500, 3)):
-        one, two, three = (
-            fa.integrate_rates(
-                data * (dt if increments else 1.0), dt, START, method=method, increments=increments,
-                n_threads=k,
-            )
-            for k in (1, 2, 3)
-        )  # fmt: skip
-        assert same(one, two)
-        assert same(one, three)
 
 
 LONG = np.cumsum(np.random.default_rng(5).normal(size=(200_001, 3)), axis=0) * 0.01
@@ -221,36 +187,40 @@ LONG[120_000:120_100] *= 100.0  # turns past π, in one tile of 261
 
 
 @pytest.mark.parametrize("dtype", ["f8", "f4"])
-@pytest.mark.parametrize(
-    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
-)
-def test_runs_of_one_log_on_threads_change_no_bit(method, increments, dtype):
-    """Of 260 tiles, 64 or more a thread; the turns past π are met by one thread of each."""
-    dt = 0.01
-    data = (LONG[:-1] * dt if increments else LONG).astype(dtype)
-    options = {"method": method, "increments": increments, "max_gap": np.inf}
+@on_representatives
+def test_threads_change_no_bit(method, increments, dtype):
+    """Of a few logs, more than a tile of 16, and one of 260 tiles, 64 or more a thread.
+
+    The turns past π of that are met by one thread of each.
+    """
     spans = np.random.default_rng(6).uniform(0.009, 0.011, 200_000)
-    for intervals in (dt, spans):
+    cases = [(LOG.reshape(4, 5000, 3), 0.1), (LOG.reshape(40, 500, 3), 0.1)]
+    cases += [(LONG[:-1] if increments else LONG, dt) for dt in (0.01, spans)]
+    for data, dt in cases:
+        data = (data * np.mean(dt) if increments else data).astype(dtype)
         alone, *others = (
-            fa.integrate_rates(data, intervals, START, n_threads=k, **options) for k in (1, 2, 3, 4)
+            integrate(data, dt, START, method, increments, max_gap=np.inf, n_threads=k)
+            for k in (1, 2, 3, 4)
         )
         assert alone.dtype == dtype
         assert all(same(alone, other) for other in others)
 
 
-@on_samples
+@on_representatives
 @pytest.mark.parametrize("dtype", ["f8", "f4"])
 def test_lanes_are_single_logs_bit_for_bit(method, increments, dtype):
-    """One a lane, and ten chunks of one side by side; some past π."""
+    """One a lane, and ten chunks of one side by side; some past π, which leaves neighbours."""
     data = (0.02 * LOG).reshape(40, 500, 3).astype(dtype)
     data[::7, 300:] *= 4.0 if method == "picard" else 200.0  # whose polynomial must not diverge
+    q0 = np.random.default_rng(0).normal(size=(40, 4))
     options = {"method": method, "increments": increments}
-    batch = fa.integrate_rates(data, 1.0, START, **options)
-    for b in range(40):
-        assert same(batch[b], fa.integrate_rates(data[b], 1.0, START, **options))
+    for n_logs in (1, 3, 16, 40):
+        batch = fa.integrate_rates(data[:n_logs], 1.0, q0[:n_logs], **options)
+        for b in range(n_logs):
+            assert same(batch[b], fa.integrate_rates(data[b], 1.0, q0[b], **options))
 
 
-@on_samples
+@on_representatives
 def test_fast_stretch_of_one_log_changes_no_bit_before_it(method, increments):
     """Nor in the lanes of its tile, which hold what comes before."""
     data = 0.005 * LOG[:5000]
@@ -260,20 +230,6 @@ def test_fast_stretch_of_one_log_changes_no_bit_before_it(method, increments):
     alone, beside = (fa.integrate_rates(d, 1.0, START, **options) for d in (data, fast))
     assert same(beside[:4488], alone[:4488])
     assert angle(beside[-1], alone[-1]) > 0.01
-
-
-@each(*on_samples.args)
-@each("n_logs", [1, 3, 16, 40])
-def test_batch_is_its_logs(method, increments, n_logs):
-    n = 500
-    data = 0.02 * LOG[: n_logs * n].reshape(n_logs, n, 3)
-    q0 = np.random.default_rng(0).normal(size=(n_logs, 4))
-    options = {"method": method, "increments": increments}
-    batch = fa.integrate_rates(data, 1.0, q0, **options)
-    assert batch.shape == (n_logs, n + increments, 4)
-    for b in {0, n_logs // 2, n_logs - 1}:
-        single = fa.integrate_rates(data[b], 1.0, q0[b], **options)
-        assert same(batch[b], single)
 
 
 def inner(method, turn):
@@ -304,22 +260,9 @@ def test_equal_intervals_as_an_array(method, increments):
     n = 100
     data = (0.01 if increments else 1.0) * LOG[:n]
     spans = np.full(n - (not increments), 0.01)
-    options = {"method": method, "increments": increments}
-    a = fa.integrate_rates(data, 0.01, START, **options)
-    b = fa.integrate_rates(data, spans, START, **options)
+    a, b = (integrate(data, dt, START, method, increments) for dt in (0.01, spans))
     # interpolating noise by a sextic through 7 samples amplifies the rounding
     assert angle(a, b).max() < (40 if method == "picard" else 4) * n * EPS
-
-
-@pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
-def test_constant_rate_is_exact_with_any_intervals(method, increments):
-    spans = np.random.default_rng(4).uniform(0.05, 0.15, 60)
-    w = np.array([0.3, -0.2, 0.4])
-    t = np.concatenate([[0.0], np.cumsum(spans)])
-    data = spans[:, None] * w if increments else np.tile(w, (61, 1))
-    q = fa.integrate_rates(data, spans, START, method=method, increments=increments)
-    error = angle(q, mul(START, exp(t[:, None] * w)))
-    assert error.max() < 61 * 12 * EPS + inner(method, 6.0 * 0.15 * np.linalg.norm(w))
 
 
 @each(("method", "increments"), [p for p in SAMPLED if p[0] != "picard"])
@@ -349,38 +292,6 @@ def test_constant_rate_is_exact_at_any_angle_with_any_intervals(method, incremen
     assert angle(q, mul(START, exp(t[:, None] * w))).max() < 61 * 12 * EPS
 
 
-@on_samples
-def test_fast_log_changes_no_bit_of_its_neighbours(method, increments):
-    """Nor does its fast stretch change the slow one before it."""
-    data = 0.01 * LOG.reshape(40, 500, 3)
-    fast = data.copy()
-    fast[[5, 21], 250:] *= [[[500.0]], [[1e5]]]
-    options = {"method": method, "increments": increments}
-    alone, beside = (fa.integrate_rates(d, 1.0, START, **options) for d in (data, fast))
-    others = [b for b in range(40) if b not in (5, 21)]
-    assert same(beside[others], alone[others])
-    assert same(beside[[5, 21], :240], alone[[5, 21], :240])
-    assert angle(beside[5, -1], alone[5, -1]) > 0.01
-
-
-def test_rates_and_increments_of_one_motion_agree():
-    """The two ways in, and the default method."""
-    t = np.linspace(0.0, 1.0, 201)
-    q = [fa.integrate_rates(samples(BODIES, t, inc), t[1], START3, increments=inc) for inc in KINDS]
-    expected = BODIES.attitude(0.0, 1.0)
-    assert q[0].shape == q[1].shape == (3, 201, 4)
-    assert angle(q[0][:, -1], expected).max() < 1e-6
-    assert angle(q[1][:, -1], expected).max() < 1e-6
-
-
-def test_gap_can_be_allowed():
-    spans = np.full(9, 0.1)
-    spans[4] = 3.0
-    data = np.tile([0.3, -0.2, 0.4], (10, 1))
-    q = fa.integrate_rates(data, spans, START, method="hold", max_gap=5.0)
-    assert angle(q[-1], mul(START, exp(spans.sum() * data[0]))) < 100 * EPS
-
-
 @pytest.mark.parametrize("length", [1e-200, 3.0, 1e200])
 def test_start_of_any_length(length):
     a = fa.integrate_rates(LOG[:10], 0.1, START, method="hold")
@@ -406,13 +317,6 @@ def test_arguments_are_not_changed():
     assert same(q0, 3.0 * START)
 
 
-def test_out_is_filled_and_given_back():
-    rates = np.random.default_rng(0).normal(size=(3, 30, 3))
-    out = np.empty((3, 30, 4))
-    assert fa.integrate_rates(rates, 0.1, out=out) is out
-    assert np.array_equal(out, fa.integrate_rates(rates, 0.1))
-
-
 @pytest.mark.parametrize("dtype", ["f8", "f4"])
 @pytest.mark.parametrize("shape", [(50, 3), (2000, 3), (20, 90, 3)])
 def test_out_anywhere_in_memory(shape, dtype):
@@ -422,37 +326,30 @@ def test_out_anywhere_in_memory(shape, dtype):
     for k in range(4):
         out = whole[k : k + expected.size].reshape(expected.shape)
         whole[:] = 7.0
-        assert same(fa.integrate_rates(rates, 0.01, out=out), expected)
+        assert fa.integrate_rates(rates, 0.01, out=out) is out
+        assert same(out, expected)
         assert (whole[:k] == 7.0).all()
         assert (whole[k + expected.size :] == 7.0).all()
 
 
-@pytest.mark.parametrize(
-    ("out", "error"),
-    [
-        (np.empty((30, 3)), ValueError),
-        (np.empty((30, 4), dtype=np.float32), ValueError),
-        (np.empty((4, 30)).T, ValueError),
-        ([[0.0] * 4] * 30, TypeError),
-    ],
-)
-def test_out_of_another_kind_is_refused(out, error):
-    with pytest.raises(error, match=r"^out: found"):
+@each("out", [np.empty((30, 3)), np.empty((30, 4), np.float32), np.empty((4, 30)).T, [[0.0] * 4]])
+def test_out_of_another_kind_is_refused(out):
+    with pytest.raises(TypeError if isinstance(out, list) else ValueError, match=r"^out: found"):
         fa.integrate_rates(np.ones((30, 3)), 0.1, out=out)
 
 
-def with_gaps(rng, n):
-    """Intervals of a log with gaps: single ones, two in a row, one within two of the last."""
+def with_cuts(rng, n):
+    """Intervals with long and short ones: single, two in a row, one within two of the last."""
     spans = rng.uniform(0.009, 0.011, n)
-    spans[[17, 60, 61, 103, n - 2]] = [0.05, 0.09, 0.04, 0.05, 0.06]
+    spans[[17, 60, 61, 103, n - 2]] = [0.05, 0.09, 1e-5, 0.05, 0.001]
     return spans
 
 
 @pytest.mark.parametrize(("method", "increments"), ANY_INTERVALS)
 @pytest.mark.parametrize("n_logs", [1, 20])
-def test_windows_begin_anew_at_gaps(method, increments, n_logs):
-    """As if the log were cut there: at a gap, a log of two rates or of one increment."""
-    spans = with_gaps(np.random.default_rng(3), 200)
+def test_windows_begin_anew_at_cuts(method, increments, n_logs):
+    """As if the log were cut there: a log of two rates or of one increment between."""
+    spans = with_cuts(np.random.default_rng(3), 200)
     n = len(spans) + (not increments)
     data = 0.1 * np.random.default_rng(4).normal(size=(n_logs, n, 3))
     options = {"method": method, "increments": increments, "max_gap": 1.0}
@@ -468,7 +365,7 @@ def test_windows_begin_anew_at_gaps(method, increments, n_logs):
         assert same(fa.integrate_rates(data[0], spans, START, **options), q[0])
 
 
-@pytest.mark.parametrize("method", ["previous", "coning2", "coning3", "picard"])
+@pytest.mark.parametrize("method", ["previous", "coning2", "picard"])
 def test_a_gap_does_not_magnify_noise(method):
     """Samples of a body at rest: over a gap of 0.5 s a few hundredths of a millirad."""
     spans = np.full(120, 0.01)
@@ -480,25 +377,25 @@ def test_a_gap_does_not_magnify_noise(method):
     assert np.sqrt(np.mean(turned**2)) == pytest.approx(0.5e-4 * math.sqrt(1.5), rel=0.2)
 
 
-def test_intervals_that_only_vary_are_no_gaps():
+def test_intervals_that_only_vary_are_no_cuts():
     """Of a slow part of a log after its first eight intervals, the part itself is none."""
-    assert gaps(np.array([0.01] * 20 + [0.1] * 20))[0] == (20, 0.01)
-    assert [k for k, _ in gaps(np.array([0.01] * 20 + [0.1] * 20))] == [20, 21, 22, 23]
-    assert gaps(np.random.default_rng(0).uniform(0.05, 0.15, 1000)) == []
-    assert gaps(np.array([9.0, *[0.01] * 20])) == []
+    assert cuts(3.0, np.array([0.01] * 20 + [0.1] * 20))[0] == (20, 0.01)
+    assert [k for k, _ in cuts(3.0, np.array([0.01] * 20 + [0.1] * 20))] == [20, 21, 22, 23]
+    assert cuts(3.0, np.random.default_rng(0).uniform(0.05, 0.15, 1000)) == []
+    assert [k for k, _ in cuts(3.0, np.array([9.0, *[0.01] * 20]))] == [1, 2, 3, 4, 5]
 
 
-def test_gaps_are_those_of_the_medians():
+def test_cuts_are_those_of_the_medians():
     """Of intervals of all sizes, some before those that are looked at."""
     spans = np.random.default_rng(1).exponential(size=300)
     padded = np.concatenate([np.full(8, spans[0]), spans])
     medians = [float(np.median(padded[k : k + 8])) for k in range(300)]
-    known = [(k, m) for k, m in enumerate(medians) if spans[k] > 3.0 * m]
+    known = [(k, m) for k, m in enumerate(medians) if not m / 3.0 <= spans[k] <= 3.0 * m]
     assert len(known) > 20
-    assert gaps(spans) == known
+    assert cuts(3.0, spans) == known
     for cut in (1, 5, 100):
         later = [(k - cut, m) for k, m in known if k >= cut]
-        assert gaps(spans[cut:], spans[max(cut - 8, 0) : cut]) == later
+        assert cuts(3.0, spans[cut:], spans[max(cut - 8, 0) : cut]) == later
 
 
 def test_advice_of_the_sample_rate_is_above_1():

@@ -142,22 +142,10 @@ def test_the_end_of_a_log_is_that_of_its_last_polynomial(increments, uneven, n):
         assert angle(q[n - rest + k + 1], turned) <= 0.1 * 0.1
 
 
-@KINDS
-@pytest.mark.parametrize("n_logs", [1, 3, 20])
-def test_the_ends_of_logs_side_by_side(increments, n_logs):
-    """All of a log's end is its own: bit for bit that of the log alone."""
-    data = 0.1 * np.random.default_rng(5).normal(size=(n_logs, 23, 3))
-    options = {"method": "picard", "increments": increments}
-    together = fa.integrate_rates(data, 1.0, **options)
-    for v, q in zip(data, together, strict=True):
-        assert np.array_equal(fa.integrate_rates(v, 1.0, **options), q)
-    assert np.abs(np.linalg.norm(together, axis=-1) - 1.0).max() <= 24 * EPS
-
-
 @pytest.mark.parametrize("n", [200, 2000])
 @pytest.mark.parametrize("speed", [1.3, 2.9])
-def test_summaries_say_which_method_is_the_nearest_on_smooth_logs(n, speed):
-    """Regular samples of 20 s without noise: coning2 before coning3, and picard before both."""
+def test_picard_is_the_nearest_on_smooth_logs(n, speed):
+    """Regular samples of 20 s without noise."""
     motion = fa.Scene(rate=smooth, params=(speed,))
     t = np.linspace(0.0, 20.0, n)
     rates = np.stack(smooth(t, (speed,)), axis=-1)
@@ -165,11 +153,9 @@ def test_summaries_say_which_method_is_the_nearest_on_smooth_logs(n, speed):
     true = fa.propagate(motion, start, dt=t[1] / 16, n_steps=16 * (n - 1), method="magnus6").q[-1]
     error = {
         name: fa.angle_between(fa.integrate_rates(rates, t[1], start, method=name)[-1], true)
-        for name in ("coning2", "coning3", "picard")
+        for name in ("coning2", "picard")
     }
-    assert 1.2 * error["coning2"] < error["coning3"]
     assert 10.0 * error["picard"] < error["coning2"]
-    assert "coning2 has less error" in fa.METHODS["coning3"].summary
 
 
 def smooth(t, p):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import copy
 import pickle
 import re
+import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from each import each
 import fastatt as fa
 
 START = np.array([0.5, -0.5, 0.1, 0.7])
+REPRESENTATIVES = [("previous", False), ("coning2", True), ("picard", False)]
 SAMPLED = [
     (m.name, increments)
     for m in fa.METHODS.values()
@@ -31,18 +34,16 @@ CUTS = {
 }
 
 
-def streamed(rates, dt, cuts, **options):
+def streamed(rates, dt, cuts, q0=START, **options):
     """All that comes out of a log cut into pieces, the integrator pickled between two of them."""
-    increments = options.get("increments", False)
     uneven = np.ndim(dt) > 0
-    flow = fa.GyroIntegrator(options.pop("q0", START), None if uneven else dt, **options)
+    flow = fa.GyroIntegrator(q0, None if uneven else dt, **options)
     found, at = [], 0
     for k, n in enumerate(cuts):
         end = at + n
-        given = [rates[..., at:end, :]]
-        if uneven:
-            given.append(dt[at:end] if increments else dt[max(at - 1, 0) : end - 1])
-        found.append(flow.push(*given))
+        first = at if options.get("increments") else max(at - 1, 0)
+        last = end if options.get("increments") else end - 1
+        found.append(flow.push(rates[..., at:end, :], *([dt[first:last]] if uneven else [])))
         at = end
         if k == 2:
             flow = pickle.loads(pickle.dumps(flow))
@@ -60,40 +61,24 @@ def test_pieces_are_the_whole_log(method, increments, cuts):
     assert found.tobytes() == whole.tobytes()
 
 
-@pytest.mark.parametrize("n_bodies", [3, 20])
-@pytest.mark.parametrize("dtype", ["f8", "f4"])
-@pytest.mark.parametrize(
-    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
-)
-def test_pieces_of_many_bodies_with_intervals_given_along(method, increments, dtype, n_bodies):
-    rng = np.random.default_rng(1)
-    cuts = CUTS["in pieces"]
-    n = sum(cuts)
-    data = (LOG[:n_bodies, :n] * (0.02 if increments else 1.0)).astype(dtype)
-    spans = rng.uniform(0.015, 0.025, n - (not increments))
-    q0 = rng.normal(size=(n_bodies, 4))
-    options = {"method": method, "increments": increments}
-    whole = fa.integrate_rates(data, spans, q0, **options)
-    found = streamed(data, spans, cuts, q0=q0, **options)
-    assert found.dtype == dtype
-    assert found.tobytes() == whole.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("method", "increments"),
-    [("trapezoid", False), ("previous", False), ("coning3", True), ("picard", False)],
-)
+@pytest.mark.parametrize(("method", "increments"), [("trapezoid", False), *REPRESENTATIVES])
 @pytest.mark.parametrize("cuts", ["singly", "in pieces"])
-@pytest.mark.parametrize(("n_bodies", "dtype"), [(1, "f8"), (3, "f4")])
-def test_gaps_are_those_of_the_whole_log(method, increments, cuts, n_bodies, dtype):
+@pytest.mark.parametrize("gaps", [False, True], ids=["even", "gaps"])
+@each(("n_bodies", "dtype"), [(1, "f8"), (3, "f4"), (20, "f8")])
+def test_pieces_with_intervals_given_along(method, increments, cuts, gaps, n_bodies, dtype):
+    """Of many bodies; windows begin anew where those of the whole log do."""
     cuts = CUTS[cuts]
     n = sum(cuts)
+    rng = np.random.default_rng(1)
     data = (LOG[:n_bodies, :n] * (0.02 if increments else 1.0)).astype(dtype)
-    spans = np.random.default_rng(1).uniform(0.015, 0.025, n - (not increments))
-    spans[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 0.1, 0.1, 0.12, 0.2]
+    spans = rng.uniform(0.015, 0.025, n - (not increments))
+    if gaps:
+        spans[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 1e-6, 1e-4, 0.12, 0.2]
+    q0 = rng.normal(size=(n_bodies, 4))
     options = {"method": method, "increments": increments, "max_gap": 1.0}
-    whole = fa.integrate_rates(data, spans, START, **options)
-    found = streamed(data, spans, cuts, q0=np.tile(START, (n_bodies, 1)), **options)
+    whole = fa.integrate_rates(data, spans, q0, **options)
+    found = streamed(data, spans, cuts, q0, **options)
+    assert found.dtype == dtype
     assert found.tobytes() == whole.tobytes()
 
 
@@ -136,7 +121,7 @@ def test_long_pieces_on_threads_are_the_whole_log():
         ("previous", False, [1, 0, 2, 1, 1], 0),  # the first interval takes three rates
         ("previous", True, [1, 2, 1, 1, 1], 0),
         ("coning2", False, [1, 0, 2, 0, 2], 0),
-        ("coning3", True, [1, 0, 3, 0, 0], 2),
+        ("coning2", True, [1, 2, 0, 2, 0], 1),
     ],
 )
 def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, left):
@@ -157,9 +142,7 @@ def test_previous_begins_with_three_rates_or_two_increments(increments):
     assert sizes == [1, 0, 2, *[1] * 17]
 
 
-@pytest.mark.parametrize(
-    ("method", "increments"), [("previous", False), ("coning3", True), ("picard", False)]
-)
+@pytest.mark.parametrize(("method", "increments"), REPRESENTATIVES)
 @pytest.mark.parametrize("n_bodies", [1, 3])
 def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n_bodies):
     """By the same rotation along inertial axes, within a chunk, a window and at the beginning."""
@@ -170,8 +153,8 @@ def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n
     plain, turned = (fa.GyroIntegrator(start, 0.02, **options) for _ in range(2))
     turn = np.array([0.8, 0.0, -0.6, 0.0])
     turned.q = 3.0 * fa.quat_multiply(turn, turned.q)
-    for first, last in ((0, 31), (31, 38), (38, 150)):
-        a, b = (flow.push(data[..., first:last, :]) for flow in (plain, turned))
+    for piece in (slice(0, 31), slice(31, 38), slice(38, 150)):
+        a, b = (flow.push(data[..., piece, :]) for flow in (plain, turned))
         assert np.array_equal(plain.q, a[..., -1, :])
         assert fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
         turn = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turn)
@@ -180,6 +163,30 @@ def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n
     assert not a.size or fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
     with pytest.raises(ValueError, match="found an integrator that is closed"):
         turned.q = start
+
+
+@pytest.mark.parametrize("method", ["previous", "coning2"])
+def test_threads_push_one_after_another(method):
+    """Equal samples of two threads are those of one log, whose order does not matter."""
+    rates, n = [0.1, -0.2, 0.3], 400
+    sizes = []
+
+    def push(_):
+        sizes.append(len(flow.push(rates)))
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for _ in range(5):
+            sizes.clear()
+            flow = fa.GyroIntegrator(START, 0.01, method=method)
+            with ThreadPoolExecutor(2) as threads:
+                list(threads.map(push, range(n)))
+            assert sum(sizes) + len(flow.close()) == n
+            whole = fa.integrate_rates(np.tile(rates, (n, 1)), 0.01, START, method=method)
+            assert np.array_equal(flow.q, whole[-1])
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def test_a_log_without_samples():
@@ -228,7 +235,6 @@ def test_refused_samples_leave_all_as_it_was(rates, dt, message):
     [
         ((START, 0.0), {}, "dt: found 0.0"),
         ((START, 0.1), {"method": "rk4"}, "method: found 'rk4'"),
-        ((START,), {"method": "coning3_optimal", "increments": True}, "dt: found intervals"),
         ((np.zeros(4), 0.1), {}, "q0 is the zero quaternion"),
     ],
 )
@@ -245,6 +251,17 @@ def test_what_an_integrator_takes_no_more():
     for call in (lambda: flow.push([0.0] * 3), flow.close):
         with pytest.raises(ValueError, match="an integrator that is closed"):
             call()
+
+
+def test_angles_that_overflow_within_a_window_are_refused():
+    """The attitude at its end may be finite."""
+    rates = np.array(
+        [[1e39, 0.0, 0.0], [0.0, 1e63, -4e257], [0.0] * 3, [9e141, 0.0, 0.0], [0.0] * 3]
+    )
+    with pytest.raises(ValueError, match="rates: the angles overflow float64"):
+        fa.integrate_rates(rates, 0.18, START, method="coning2")
+    with pytest.raises(ValueError, match="rates: the angles overflow float64"):
+        fa.GyroIntegrator(START, 0.18, method="coning2").push(rates)
 
 
 def test_long_turns_are_told_by_their_place_in_the_log():

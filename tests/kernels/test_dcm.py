@@ -32,7 +32,7 @@ from oracle import (
     vectors,
 )
 
-from fastatt.kernels import dcm, quat, two_rows
+from fastatt.kernels import dcm, two_rows
 
 N = 300
 ONE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -56,13 +56,9 @@ def test_exp(regime):
         found, true = vec(dcm.exp(u)), vec(entries(rodrigues(u)))
         assert error(found, true) <= 1e-15
         assert max(abs(c) for c in found - true) <= 1e-15
-
-
-def test_exp_of_tiny_angles_keeps_relative_accuracy():
-    off_diagonal = [1, 2, 3, 5, 6, 7]
-    for u in [*rotations("tiny", 1000), (1e-300, -2e-300, 3e-300)]:
-        found, true = dcm.exp(u), entries(rodrigues(u))
-        assert error([found[i] for i in off_diagonal], [true[i] for i in off_diagonal]) <= 1e-15
+        if regime == "tiny":
+            across = [1, 2, 3, 5, 6, 7]
+            assert error([found[i] for i in across], [true[i] for i in across]) <= 1e-15
 
 
 @regimes
@@ -102,18 +98,6 @@ def test_log(regime):
     for u in rotations(regime, 1000):
         c = floats(entries(rodrigues(u)))
         assert vector_error(dcm.log(c), u) <= 1e-15
-
-
-@regimes
-def test_log_of_exp(regime):
-    for u in rotations(regime, 1000):
-        assert vector_error(dcm.log(dcm.exp(u)), u) <= 2e-15
-
-
-@regimes
-def test_exp_of_log(regime):
-    for c in matrices(regime):
-        assert error(dcm.exp(dcm.log(c)), c) <= 2e-15
 
 
 # matrix and quaternion
@@ -171,21 +155,7 @@ def test_to_quat_of_half_turns():
         assert vector_error(dcm.log(c), mp.pi * e) <= 1e-15
 
 
-@regimes
-def test_round_trip_through_the_matrix(regime):
-    """1e-15 per element is at most 3e-15 of the matrix, √8 times an error of the quaternion."""
-    for q in attitudes(regime, N, 4):
-        assert attitude_error(dcm.to_quat(dcm.from_quat(q)), q) <= 3e-15 / math.sqrt(8) + 5e-16
-
-
 # products
-
-
-@regimes
-def test_matrices_multiply_as_quaternions_do(regime):
-    for p, q in zip(attitudes(regime, N, 6), quaternions(N, 7), strict=True):
-        composed = dcm.mul(dcm.from_quat(p), dcm.from_quat(q))
-        assert distance(composed, dcm.from_quat(quat.mul(p, q))) <= 8 * PRODUCT
 
 
 def test_product_and_transpose():
@@ -203,37 +173,15 @@ def test_rotate(regime):
         assert error(dcm.rotate_inverse(c, v), square(c).T * vec(v)) <= PRODUCT
 
 
-@regimes
-def test_rotate_as_the_quaternion_does(regime):
-    for q, v in zip(attitudes(regime, N, 9), vectors(N, 10), strict=True):
-        assert error(dcm.rotate(dcm.from_quat(q), v), quat.rotate(q, v)) <= 4 * PRODUCT
-
-
 # kinematics
 
 
-def test_derivative_is_poisson():
-    for c, w in zip(matrices("uniform"), vectors(N, 11, size=3.0), strict=True):
-        true = square(c) * hat(vec(w))
-        assert error(dcm.derivative(c, w), entries(true)) <= PRODUCT
-        for i in range(3):
-            row = dcm.derivative_row(c[3 * i : 3 * i + 3], w)
-            assert row == dcm.derivative(c, w)[3 * i : 3 * i + 3]
-
-
 @regimes
-def test_rate_inverts_derivative(regime):
+def test_derivative_is_poisson_and_rate_inverts_it(regime):
     for c, w in zip(matrices(regime, seed=12), vectors(N, 13, size=100.0), strict=True):
+        assert error(dcm.derivative(c, w), entries(square(c) * hat(vec(w)))) <= PRODUCT
+        assert dcm.derivative_row(c[3:6], w) == dcm.derivative(c, w)[3:6]
         assert error(dcm.rate(c, dcm.derivative(c, w)), w) <= 4 * PRODUCT
-
-
-def test_derivative_is_that_of_the_quaternion():
-    """C of q + h q̇ is C + h Ċ up to h², here 1e-40."""
-    h = mp.mpf(10) ** -20
-    for q, w in zip(quaternions(20, 14), vectors(20, 15), strict=True):
-        true = quat_matrix(vec(q) + h * vec(quat.derivative(q, w))) - quat_matrix(q)
-        c = dcm.from_quat(q)
-        assert error(dcm.derivative(c, w), entries(true / h)) <= 4 * PRODUCT
 
 
 # orthogonality

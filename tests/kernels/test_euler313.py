@@ -11,7 +11,6 @@ from oracle import (
     distance,
     entries,
     norm,
-    quat_conj,
     quat_exp,
     quat_mul,
     quaternions,
@@ -21,6 +20,7 @@ from oracle import (
     vectors,
 )
 
+import fastatt as fa
 from fastatt.kernels import dcm, euler313
 
 N = 300
@@ -50,18 +50,6 @@ def by_axes(angles):
 def allowed(angles):
     """Rounding of φ ± ψ, half of it in the half angle, and that of the products."""
     return 4 * EPS + 0.5 * math.ulp(max(abs(a) for a in angles) * 2)
-
-
-def test_numpy_product_of_axes():
-    def z(a):
-        return np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-
-    def x(a):
-        return np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-
-    for angles in ANGLES:
-        product = z(angles[0]) @ x(angles[1]) @ z(angles[2])
-        assert np.abs(np.reshape(euler313.to_dcm(angles), (3, 3)) - product).max() <= 12 * EPS
 
 
 def test_to_quat():
@@ -119,16 +107,6 @@ def test_rate():
         assert distance(euler313.rate(angles, d), formula(angles, d)) <= 4 * EPS * norm(d)
 
 
-def test_rate_is_that_of_the_attitude():
-    """w = 2 q*∘q̇ with q̇ by a central difference: error 1e-30."""
-    h = mp.mpf(10) ** -15
-    for angles, d in zip(ANGLES[:30], vectors(30, 3), strict=True):
-        ahead, behind = by_axes(vec(angles) + h * vec(d)), by_axes(vec(angles) - h * vec(d))
-        w = quat_mul(quat_conj(by_axes(angles)), ahead - behind) / h
-        assert abs(w[0]) <= 1e-25
-        assert distance(euler313.rate(angles, d), w[1:]) <= 4 * EPS * norm(d)
-
-
 def test_derivative_inverts_rate():
     """To a relative 1/sin θ, which magnifies what is lost towards the poles."""
     for angles, w in zip(ANGLES, vectors(N, 4), strict=True):
@@ -144,6 +122,21 @@ def test_derivative_has_no_value_at_the_poles():
     assert not np.isfinite(euler313.derivative((0.4, 0.0, 0.0), (0.0, 0.2, 0.3))).all()
     # the float next to π is 1.2e-16 short of it
     assert abs(euler313.derivative((0.4, math.pi, 0.3), (1.0, 0.0, 0.0))[0]) > 1e15
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize(
+    "q0", [(1.0, 0.0, 0.0, 0.0), (0.8, 0.0, 0.0, 0.6), (1.0, 1e-300, 0.0, 0.0)]
+)
+@pytest.mark.parametrize("w", [(0.0, 0.0, 1.0), (0.1, 0.2, 0.3)])
+def test_a_run_that_starts_at_a_pole_is_singular(q0, w, dtype):
+    """Its first derivative is infinite or NaN: both flags, of bodies and of given rates."""
+    options = {"dt": 0.01, "n_steps": 3, "method": "rk4", "representation": "euler313"}
+    for run in (
+        fa.propagate(fa.Scene(inertia=(2.0, 1.0, 0.7)), q0, w, dtype=dtype, **options),
+        fa.propagate(fa.Scene(rate=fa.rates.Constant(w)), q0, dtype=dtype, **options),
+    ):
+        assert run.status[0] == fa.Status.SINGULAR | fa.Status.NON_FINITE
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])

@@ -39,6 +39,15 @@ def test_quaternion_of_parameters():
         assert distance(mrp.to_quat(x), quaternion(x)) <= 4 * EPS
 
 
+@pytest.mark.parametrize("size", [1e153, 1e154, 1e155, 1e200, 1e308])
+def test_quaternion_of_parameters_whose_squares_overflow(size):
+    for x in ((size, 0.0, 0.0), (0.3 * size, -0.7 * size, 0.2 * size), (1.0, size, 1e-300)):
+        found, true = mrp.to_quat(x), quaternion(x)
+        for a, b in zip(found, true, strict=True):
+            # relative, but for what is below the smallest normal number
+            assert abs(a - b) <= 4 * EPS * abs(b) + 5e-324
+
+
 def test_parameters_of_a_quaternion():
     """Of the two, those of at most half a turn."""
     for q in QUATERNIONS:

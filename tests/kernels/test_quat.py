@@ -33,7 +33,6 @@ from oracle import (
     slope,
     uniform,
     vec,
-    vector_error,
     vectors,
 )
 
@@ -90,29 +89,17 @@ def test_log_of_any_length(size):
         assert error(quat.log(q), quat_log(q)) <= 1e-15
 
 
-@regimes
-def test_log_of_exp(regime):
-    for u in rotations(regime, 1000):
-        assert vector_error(quat.log(quat.exp(u)), u) <= 1e-15
-
-
-@regimes
-def test_exp_of_log(regime):
-    for q in attitudes(regime, N):
-        assert attitude_error(quat.exp(quat.log(q)), q) <= 1e-15
-
-
-def test_nothing_is_lost_at_zero():
+def test_nothing_is_lost_at_zero_and_at_half_a_turn():
     for u in ((0.0, 0.0, 0.0), (0.0, -0.0, 0.0)):
         assert quat.exp(u) == quat.exp_short(u) == ONE
     assert quat.log(ONE) == quat.log((-1.0, 0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
     assert quat.exp((2e-300, 0.0, -4e-310)) == (1.0, 1e-300, 0.0, -2e-310)
     assert quat.log((1.0, 1e-300, 0.0, -2e-310)) == (2e-300, 0.0, -4e-310)
-
-
-def test_log_at_exactly_half_a_turn_keeps_the_sign_of_the_axis():
-    assert quat.log((0.0, 0.0, 1.0, 0.0)) == (0.0, math.pi, 0.0)
-    assert quat.log((0.0, 0.0, -1.0, 0.0)) == (0.0, -math.pi, 0.0)
+    for size in (1.0, 5e-324):
+        for sign in (1.0, -1.0):
+            assert quat.log((0.0, 0.0, sign * size, 0.0)) == (0.0, sign * math.pi, 0.0)
+    assert quat.log((5e-324, 0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert np.isnan(quat.log((0.0, 0.0, 0.0, 0.0))).all()
 
 
 def test_exp_beyond_pi():
@@ -130,28 +117,24 @@ def test_exp_next_to_whole_and_half_turns():
             assert distance(quat.exp((0.0, x, 0.0)), quat_exp((0, x, 0))) <= 5.5e-16
 
 
-@pytest.mark.parametrize("size", [1e7, 1e16, 9.9e16, 1.1e17, 1e100, 9e149, 1.1e150, 1e200, 1e308])
-def test_exp_of_huge_angles(size):
-    for u in rotation_vectors([size] * 50):
-        q = quat.exp(u)
-        assert abs(norm(q) - 1) <= 5e-16
-        axis, v = vec(u) / norm(u), vec(q[1:]) / norm(q[1:])
-        assert min(distance(v, axis), distance(v, -axis)) <= 2 * EPS
-
-
 @njit
 def single_exp(x, y, z):
     """exp in float32, what Python's floats can't ask for."""
     return quat.exp((np.float32(x), np.float32(y), np.float32(z)))
 
 
-@pytest.mark.parametrize("size", [1e3, 1e10, 1e16, 1e18, 1e25, 1e38])
-def test_exp_of_huge_angles_in_single_precision(size):
+HUGE = [1e7, 1e16, 9.9e16, 1.1e17, 1e100, 9e149, 1.1e150, 1e200, 1e308]
+
+
+@each("size, single", [*((x, False) for x in HUGE), *((x, True) for x in (1e3, 1e10, 1e18, 1e38))])
+def test_exp_of_huge_angles(size, single):
+    """Of each precision: unit, about the given axis."""
+    eps = EPS * 2**29 if single else EPS
     for u in rotation_vectors([size] * 50):
-        q = single_exp(*u)
-        assert abs(norm(q) - 1) <= 5e-16 * 2**29
+        q = single_exp(*u) if single else quat.exp(u)
+        assert abs(norm(q) - 1) <= 5e-16 / EPS * eps
         axis, v = vec(u) / norm(u), vec(q[1:]) / norm(q[1:])
-        assert min(distance(v, axis), distance(v, -axis)) <= 2 * EPS * 2**29
+        assert min(distance(v, axis), distance(v, -axis)) <= 2 * eps
 
 
 @arbitrary
@@ -174,32 +157,23 @@ def test_exp_shows_a_non_finite_angle(bad, place):
 @arbitrary
 @given(st.tuples(FINITE, FINITE, FINITE, FINITE).filter(any))
 def test_normalise_anything(q):
-    unit = vec(q) / norm(q)
-    for found, true in zip(quat.normalise(q), unit, strict=True):
-        assert abs(found - true) <= 4e-16
-
-
-@pytest.mark.parametrize(
-    "q",
-    [
-        (1e200, -3e200, 2e200, 5e200),
-        (1e-200, -3e-200, 2e-200, 5e-200),
-        (1.7e308, 1.7e308, -1.7e308, 1.7e308),
-        (5e-324, 0.0, -5e-324, 1e-323),
-        (1e-310, 2e-310, 3e-310, 0.0),
-        (1e200, 1e-200, 1.0, 0.0),
-        (3e-5, 4e-5, 1e-320, 0.0),
-    ],
-)
-def test_normalise_extremes(q):
     for found, true in zip(quat.normalise(q), vec(q) / norm(q), strict=True):
         assert abs(found - true) <= 4e-16
 
 
-def test_normalise_keeps_relative_accuracy():
-    assert quat.normalise((3e200, 4e200, 5e-50, 0.0)) == pytest.approx(
-        (0.6, 0.8, 1e-250, 0.0), rel=4 * EPS, abs=0
-    )
+@each(
+    "q",
+    [
+        (1e200, -3e200, 2e200, 5e200), (1e-200, -3e-200, 2e-200, 5e-200),
+        (1.7e308, 1.7e308, -1.7e308, 1.7e308), (5e-324, 0.0, -5e-324, 1e-323),
+        (1e-310, 2e-310, 3e-310, 0.0), (1e200, 1e-200, 1.0, 0.0), (3e-5, 4e-5, 1e-320, 0.0),
+        (3e200, 4e200, 5e-50, 0.0),
+    ],
+)  # fmt: skip
+def test_normalise_extremes(q):
+    """Each component to its own rounding, but for what is subnormal."""
+    for found, true in zip(quat.normalise(q), vec(q) / norm(q), strict=True):
+        assert abs(found - true) <= max(4 * EPS * abs(true), 5e-324)
 
 
 @each("bad", [math.nan, math.inf, None])
@@ -232,22 +206,8 @@ def test_product(regime):
     for p, q in zip(quaternions(N, 3), attitudes(regime, N, 1), strict=True):
         assert distance(quat.mul(p, q), quat_mul(vec(p), vec(q))) <= PRODUCT
         assert quat.mul(p, ONE) == quat.mul(ONE, p) == p
+        assert quat.conj(p) == floats(quat_conj(p))
         assert quat.dot(p, q) == pytest.approx(float(mp.fdot(p, q)), abs=PRODUCT)
-
-
-@regimes
-def test_product_is_associative(regime):
-    p, q, r = (attitudes(regime, N, seed) for seed in (4, 5, 6))
-    for a, b, c in zip(p, q, r, strict=True):
-        left = quat.mul(quat.mul(a, b), c)
-        assert distance(left, quat.mul(a, quat.mul(b, c))) <= 4 * PRODUCT
-
-
-@regimes
-def test_conjugate_is_the_inverse(regime):
-    for q in attitudes(regime, N):
-        assert distance(quat.mul(q, quat.conj(q)), ONE) <= 2 * PRODUCT
-        assert quat.conj(quat.conj(q)) == q
 
 
 @regimes
@@ -256,14 +216,6 @@ def test_rotate(regime):
         matrix = quat_matrix(q)
         assert distance(quat.rotate(q, v), matrix * vec(v)) <= 2 * PRODUCT
         assert distance(quat.rotate_inverse(q, v), matrix.T * vec(v)) <= 2 * PRODUCT
-
-
-@regimes
-def test_rotation_by_a_product(regime):
-    p, q = attitudes(regime, N, 8), quaternions(N, 9)
-    for a, b, v in zip(p, q, directions(N, 10), strict=True):
-        once = quat.rotate(quat.mul(a, b), v)
-        assert distance(once, quat.rotate(a, quat.rotate(b, v))) <= 8 * PRODUCT
 
 
 # kinematics
@@ -277,15 +229,6 @@ def test_derivative():
         assert error(quat.derivative_inertial(q, w), true) <= PRODUCT
 
 
-def test_derivative_is_that_of_a_turning_body():
-    w, h = (0.3, -1.1, 0.7), mp.mpf(10) ** -20
-    for q in quaternions(20, 3):
-        turn = quat_exp(h * vec(w))
-        ahead, aside = quat_mul(vec(q), turn), quat_mul(turn, vec(q))
-        assert error(quat.derivative(q, w), (ahead - vec(q)) / h) <= PRODUCT
-        assert error(quat.derivative_inertial(q, w), (aside - vec(q)) / h) <= PRODUCT
-
-
 @regimes
 def test_rate_inverts_derivative(regime):
     for q, w in zip(attitudes(regime, N), vectors(N, 4, size=100.0), strict=True):
@@ -293,27 +236,7 @@ def test_rate_inverts_derivative(regime):
         assert error(quat.rate_inertial(q, quat.derivative_inertial(q, w)), w) <= 2 * PRODUCT
 
 
-@regimes
-def test_both_frames_describe_one_motion(regime):
-    for q, w in zip(attitudes(regime, N), vectors(N, 5), strict=True):
-        inertial = quat.rotate(q, w)
-        qdot = quat.derivative(q, w)
-        assert error(quat.derivative_inertial(q, inertial), qdot) <= 4 * PRODUCT
-        assert error(quat.rate_inertial(q, qdot), inertial) <= 4 * PRODUCT
-
-
 # angle and interpolation
-
-
-@pytest.mark.parametrize("exponent", [-7, -4, -1])
-def test_angle_is_relative_above_1e_8(exponent):
-    first = quaternions(N, 13)
-    apart = rotation_vectors(powers(exponent - 1, exponent, N))
-    for p, u in zip(first, apart, strict=True):
-        q = floats(quat_mul(vec(p), quat_exp(u)))
-        for other in (q, tuple(-c for c in q)):
-            true = quat_angle(p, other)
-            assert abs(quat.angle(p, other) - true) <= 5e-16 * true
 
 
 @regimes
@@ -324,10 +247,8 @@ def test_angle(regime):
         assert abs(quat.angle(p, q) - true) <= allowed
         assert quat.angle(p, q) == quat.angle(q, p)
     assert quat.angle(p, p) == 0.0
-
-
-def test_angle_of_half_a_turn():
-    assert quat.angle(ONE, (0.0, 0.6, 0.0, -0.8)) == pytest.approx(math.pi, rel=5e-16, abs=0)
+    half = quat.angle(ONE, (0.0, 0.6, 0.0, -0.8))
+    assert half == pytest.approx(math.pi, rel=5e-16, abs=0)
 
 
 @pytest.mark.parametrize("regime", ["uniform", "tiny"])
@@ -347,9 +268,3 @@ def test_slerp_near_half_a_turn():
         middle = quat_mul(vec(p), quat_exp(u / 2))
         assert attitude_error(quat.slerp(p, q, 0.5), middle) <= 4 * PRODUCT
         assert attitude_error(quat.slerp(p, tuple(-c for c in q), 0.5), middle) <= 4 * PRODUCT
-
-
-def test_slerp_ends():
-    for p, q in pairs("uniform"):
-        assert attitude_error(quat.slerp(p, q, 0.0), p) <= PRODUCT
-        assert attitude_error(quat.slerp(p, q, 1.0), q) <= 4 * PRODUCT

@@ -17,10 +17,6 @@ from oracle import (
     inverse_coefficient,
     isotropic,
     norm,
-    quat_conj,
-    quat_exp,
-    quat_log,
-    quat_mul,
     right_jacobian,
     rotation_vectors,
     square,
@@ -72,11 +68,6 @@ def test_coefficients_beyond_pi():
         assert abs(k - k_true) * z <= allowed
 
 
-def test_coefficients_at_zero():
-    assert so3.jacobian_coefficients(0.0) == (0.5, 1.0 / 6.0)
-    assert so3.inverse_coefficient(0.0) == pytest.approx(1.0 / 12.0, rel=4e-16)
-
-
 # Jacobians
 
 
@@ -95,23 +86,6 @@ def test_inverse_jacobians(theta):
         allowed = 1e-15 * conditioning(theta)
         assert error(so3.right_jacobian_inverse(phi), entries(true)) <= allowed
         assert error(so3.left_jacobian_inverse(phi), entries(true.T)) <= allowed
-
-
-@angles
-def test_jacobians_are_each_other_s_transpose_and_inverse(theta):
-    for phi in phis(theta):
-        right, inverse = so3.right_jacobian(phi), so3.right_jacobian_inverse(phi)
-        assert square(so3.left_jacobian(phi)) == square(right).T
-        assert square(so3.left_jacobian_inverse(phi)) == square(inverse).T
-        allowed = 2e-15 * conditioning(theta) * float(norm(inverse) * norm(right))
-        assert distance(entries(square(right) * square(inverse)), ONE) <= allowed
-
-
-@angles
-def test_left_jacobian_is_the_rotated_right_one(theta):
-    for phi in phis(theta, 3):
-        left = isotropic(*coefficients(norm(phi) ** 2)[:2], phi) * right_jacobian(phi)
-        assert error(so3.left_jacobian(phi), entries(left)) <= 1e-15
 
 
 # the rotation vector's equation
@@ -134,27 +108,6 @@ def test_dexpinv_inverts_dexp(theta):
         assert distance(so3.dexp(phi, so3.dexpinv(phi, x)), x) <= allowed
         if theta < 3.1:
             assert so3.dexpinv_short(phi, x) == so3.dexpinv(phi, x)
-
-
-@pytest.mark.parametrize("theta", [1e-8, 1.0, 3.0])
-def test_dexpinv_moves_the_rotation_vector(theta):
-    """exp(φ + h φ̇) = exp(φ)∘exp(h w), and with w in inertial axes exp(h w)∘exp(φ)."""
-    h = mp.mpf(10) ** -25
-    for phi, w in zip(phis(theta), vectors(10, 4), strict=True):
-        q, turn = quat_exp(phi), quat_exp(h * vec(w))
-        body = (quat_log(quat_mul(q, turn)) - vec(phi)) / h
-        inertial = (quat_log(quat_mul(turn, q)) - vec(phi)) / h
-        assert error(so3.dexpinv(phi, w), body) <= 2e-15 * conditioning(theta)
-        minus = so3.dexpinv(tuple(-c for c in phi), tuple(-c for c in w))
-        assert error([-c for c in minus], inertial) <= 2e-15 * conditioning(theta)
-
-
-def test_first_order_of_small_rotations():
-    """exp(φ)* ∘ exp(φ + δ) for a δ as small as a float can be beside φ."""
-    phi, delta = (0.5, -0.25, 1.0), (2.0**-40, -(2.0**-41), 2.0**-39)
-    moved = tuple(a + b for a, b in zip(phi, delta, strict=True))
-    exact = quat_log(quat_mul(quat_conj(quat_exp(phi)), quat_exp(moved)))
-    assert error(so3.dexp(phi, delta), exact) <= 1e-11
 
 
 # small parts

@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from each import each
-from oracle import EPS, coefficients, inverse_coefficient, powers, uniform
+from oracle import EPS, coefficients, inverse_coefficient, powers, relative, uniform
 
 from fastatt.kernels import trig
 
@@ -22,12 +22,6 @@ def neighbours(x, n=3):
 # where the number of turns or quarter turns is about to change
 ODD_PI = [y for k in uniform(0, 159154, 200) for y in neighbours((2 * int(k) + 1) * math.pi)]
 QUARTERS = [y for k in range(-40, 41) for y in neighbours(k * math.pi / 4)]
-
-
-def relative(found, true):
-    """|found − true| / |true|, 0 for equal zeros."""
-    gap = abs(mp.mpf(found) - true)
-    return float(gap / abs(true)) if gap else 0.0
 
 
 def turned(x):

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 import rigid_oracle as ro
 from each import each
-from exact import EPS, LENGTHY, START, angle, observed_order, representations
+from exact import EPS, LENGTHY, START, angle, observed_order
 from oracle import floats
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
-from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods import gbs16
 from fastatt.scene.equations import RigidBody, motion_of
 from fastatt.scene.torque_record import Dependence
@@ -43,7 +42,7 @@ def torqued(inertia, motion=MOTION, arm=ARM, drag=0.0):
         fa.torques.GravityGradient(np.full(n, motion)),
         fa.torques.HeavyTop(np.tile(arm, (n, 1)), np.full(n, WEIGHT)),
         # one of 0 saves a compilation
-        fa.torques.Damping(np.full(n, drag)),
+        fa.torques.Damping(np.full((n, 1), drag)),
     )
     return fa.Scene(inertia=inertia, torque=fa.torques.Sum(terms))
 
@@ -53,9 +52,9 @@ def stepped(scene):
 
 
 def in_each(names):
-    """With each representation that is stepped without poles."""
-    matrices = ("quat", "dcm", "dcm_rows")
-    return [(m, r) for m in names for r in representations(fa.METHODS[m]) if r in matrices]
+    """On quaternions; representatives on matrices too."""
+    some = {"rk4": ("dcm", "dcm_rows"), "kahan_li8": ("dcm",), "dmv10": ("dcm", "dcm_rows")}
+    return [(m, r) for m in names for r in ("quat", *some.get(m, ()))]
 
 
 FREE = fa.Scene(inertia=INERTIA)
@@ -146,14 +145,14 @@ def test_order_with_damping(method):
 def test_damping_axis_by_axis():
     """A splitting takes it where the intermediate axis is the second, as its own axes are then."""
     drag = (0.1, 0.2, 0.3)
-    model = fa.torques.AxisDamping(drag)
+    model = fa.torques.Damping(drag)
     ordered = INERTIA[[0]]
     scene = fa.Scene(inertia=ordered, torque=model)
     q, w = ends(ordered, lambda _: ro.linear_damping(drag))
-    for method in set(stepped(scene)) - LENGTHY:
+    for method in ("rk4", "strang2"):
         assert gap(run(scene, method, 2000, q0=ONE_START, w0=ONE_SPIN), q, w) < 1e-6
     refused = set(stepped(scene)) - set(stepped(fa.Scene(inertia=INERTIA, torque=model)))
-    assert refused == {"strang2", "suzuki4", "kahan_li6", "kahan_li8"}
+    assert refused == {"strang2", "kahan_li8"}
 
 
 # known numbers
@@ -190,11 +189,7 @@ BODY_H_TABLE = {
     "rk4": ("4.8e-05", "3.0e-06", "2e-08"),
     "rkmk4": ("1.9e-05", "1.2e-06", "2e-08"),
     "strang2": ("1.5e-03", "3.8e-04", "1e-05"),
-    "suzuki4": ("5.1e-07", "3.2e-08", "2e-09"),
-    "kahan_li6": ("1.7e-09", "2.7e-11", "6e-14"),
     "kahan_li8": ("1.8e-13", None, None),
-    "dmv4": ("6e-04", "4e-05", None),
-    "dmv6": ("1e-06", "2e-08", None),
     "dmv10": ("1.2e-12", None, None),
 }
 
@@ -219,47 +214,10 @@ def test_errors_of_body_h(method):
     assert agrees(change, of_energy), change
 
 
-def test_body_h_where_round_off_is_all():
-    """At h = 0.1 the highest orders leave a few ulps of angle and of energy."""
-    _, q = ro.BODY_H.states[10]
-    for method, of_angle, of_energy in (
-        ("kahan_li8", 4e-14, 2e-15),
-        ("dmv10", 20 * EPS, 1e-15),
-        ("dmv4", 1.0, 1e-15),
-        ("dmv6", 1.0, 1e-15),
-    ):
-        traj = run(H, method, 100, 10.0, ONE, H_W0)
-        assert angle(traj.q[-1, 0], floats(q)) <= of_angle
-        assert abs(energy(H_INERTIA, traj.w[-1, 0]) - energy(H_INERTIA, H_W0)).item() <= of_energy
-
-
-def test_body_h_after_2000_seconds():
-    """RK4 loses energy and momentum steadily; suzuki4's energy swings, dmv10's is round-off."""
-    start = energy(H_INERTIA, H_W0)
-    found = {}
-    for method in ("rk4", "suzuki4", "dmv10"):
-        traj = run(H, method, 20_000, 2000.0, ONE, H_W0, save_every=100)
-        lost = start - energy(H_INERTIA, traj.w[:, 0])
-        shorter = 1.0 - np.linalg.norm(H_INERTIA * traj.w[:, 0], axis=1)
-        found[method] = lost, shorter
-    lost, shorter = found["rk4"]
-    assert f"{lost[-1]:.1e}" == "1.8e-06"
-    assert f"{shorter[-1]:.1e}" == "2.1e-06"
-    for loss in (lost, shorter):
-        assert np.polyfit(np.arange(loss.size), loss, 1)[0] * loss.size == pytest.approx(
-            loss[-1], rel=0.05
-        )
-    assert np.abs(found["suzuki4"][0]).max() < 5e-9
-    # a walk of 20 000 roundings of an ulp; without one it would be 2000 ulps
-    assert np.abs(found["dmv10"][0]).max() < 3e-14
-    assert np.abs(found["dmv10"][1]).max() < 3e-14
-
-
 @pytest.mark.parametrize(
     ("method", "stated"),
     [
         ("rkmk4", 1.6e-4),
-        ("suzuki4", 2.4e-6),
         ("kahan_li8", 1.7e-11),
     ],
 )
@@ -333,7 +291,7 @@ def test_reversal_under_torque(method, drag):
         assert 1e-11 < found < 1e-6
 
 
-@pytest.mark.parametrize("method", ["strang2", "suzuki4"])
+@pytest.mark.parametrize("method", ["strang2", "kahan_li8"])
 def test_energy_under_a_potential_swings_without_drift(method):
     inertia = INERTIA
     scene = torqued(INERTIA, motion=0.0)
@@ -364,13 +322,13 @@ def test_steps_of_needles_within_the_limit_are_right(method):
     run = fa.propagate(scene, *start, **given, method=method)
     assert not (run.status & fa.Status.STEP_TOO_LARGE).any()
     passed = np.arange(1, steps + 1)[:, None] * np.linalg.norm(w, axis=1)
-    worst = (run.pointing_error(truth)[1:] / passed)[:, run.status == 0].max(axis=1)
+    worst = (fa.angle_between(run.q, truth.q)[1:] / passed)[:, run.status == 0].max(axis=1)
     assert worst[0] <= 0.1
     assert worst.max() <= (0.4 if method == "strang2" else 0.1)
 
 
-@pytest.mark.parametrize("method", SPLITTINGS)
-@pytest.mark.parametrize("h", [0.1, 1.0, 7.0])
+@each("method", SPLITTINGS)
+@each("h", [0.1, 1.0, 7.0])
 def test_splittings_are_exact_for_symmetric_bodies(method, h):
     """Any step, the axis of symmetry any; spheres too."""
     a, c = 0.8, 1.1
@@ -386,19 +344,7 @@ def test_splittings_are_exact_for_symmetric_bodies(method, h):
         assert angle(turned, floats(q)) < 1e-14 * n * (1 + 8 * h)
 
 
-@pytest.mark.parametrize("method", SPLITTINGS)
-def test_rods(method):
-    """(1, 1e3, 1e3): symmetric, hence exact."""
-    i1, i = 1.0, 1e3
-    w0 = np.array([0.7, 0.02, -0.03])
-    traj = run(fa.Scene(inertia=[[i1, i, i]]), method, 100, 10.0, START[None], w0[None])
-    q0 = [START[0], START[2], START[3], START[1]]
-    q, w = ro.symmetric_top(q0, w0[[1, 2, 0]].tolist(), i, i1, 10)
-    assert angle(traj.q[-1, 0][[0, 2, 3, 1]], floats(q)) < 4e-13
-    assert np.abs(traj.w[-1, 0][[1, 2, 0]] - floats(w)).max() < 4e-13
-
-
-@pytest.mark.parametrize("method", FREE_METHODS)
+@each("method", FREE_METHODS)
 def test_nearly_spherical_bodies(method):
     """(1, 1 + 1e-6, 1 + 2e-6): differences of moments keep their digits."""
     inertia = np.array([[1.0, 1.0 + 1e-6, 1.0 + 2e-6]])
@@ -429,31 +375,6 @@ def test_symmetric_top_on_its_angles():
     assert errors[1] < 1e-9
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
     assert traj.euler313.shape == (1, 1, 3)
-    # the energy in angles and their rates is that in w
-    _, theta, psi = traj.euler313[-1, 0]
-    s, c = math.sin(psi), math.cos(psi)
-    x, y, z = traj.w[-1, 0]
-    phi_rate = (x * s + y * c) / math.sin(theta)
-    theta_rate, psi_rate = x * c - y * s, z - phi_rate * math.cos(theta)
-    found = ro.top_energy(i1, i3, theta, phi_rate, theta_rate, psi_rate)
-    assert float(found) == pytest.approx(energy(np.array([i1, i1, i3]), w0), rel=1e-9)
-
-
-# the records
-
-
-@each("record", [m for m in fa.METHODS.values() if {"free", "torqued"} & set(m.scenes)])
-def test_record_is_complete(record):
-    assert record.summary
-    assert record.source
-    assert set(record.scenes) <= {"rate", "spherical", "symmetric", "free", "torqued"}
-    assert set(record.limits) <= {*FAMILIES, "body", "torqued"}
-    if record.stages:
-        free, other, at = np.array(record.stages).T
-        assert free.sum() == pytest.approx(1.0, abs=1e-15)
-        assert other.sum() == pytest.approx(1.0, abs=1e-15)
-        assert at == pytest.approx(np.cumsum(free), abs=1e-15)
-        assert free == pytest.approx(free[::-1], abs=1e-15)
 
 
 # the extrapolated midpoint rule
@@ -467,14 +388,35 @@ def bare_motion():
     return motion_of(RigidBody(law), QUATERNION, p, 0.0), (0.5, 0.5, -0.5, 0.5, 0.1, 0.2, 0.3)
 
 
-def test_a_step_of_no_length_changes_nothing():
-    motion, x = bare_motion()
-    assert gbs16.step(motion, 0.0, 0.0, x)[0] == x
-
-
 def test_what_the_weights_of_columns_miss_is_not_a_part_of_the_step(monkeypatch):
     """It is one of what columns differ by, h² w²/16 and 39 weights: 1 % here."""
     motion, x = bare_motion()
+    assert gbs16.step(motion, 0.0, 0.0, x)[0] == x
     y = np.array(gbs16.step(motion, 0.0, 0.01, x)[0])
     monkeypatch.setattr(gbs16, "_WEIGHTS", [(1.0 + 1e-6) * w for w in gbs16._WEIGHTS])
     assert np.abs(gbs16.step(motion, 0.0, 0.01, x)[0] - y).max() < 1e-8 * np.abs(y - x).max()
+
+
+def of_attitude(t, q, w, p):
+    return q[0] * q[1] - 0.2 * w[0], 0.3 * q[2] * q[3], 0.0
+
+
+def with_a_state(t, q, w, s, p):
+    return of_attitude(t, q, w, p), (q[0] * q[1] - s[0],)
+
+
+@pytest.mark.parametrize("representation", ["dcm", "dcm_rows"])
+@pytest.mark.parametrize("torque", [of_attitude, with_a_state])
+def test_matrices_that_are_no_rotation_within_a_step_keep_the_order(torque, representation):
+    """Under a torque that reads the quaternion, across a change of its best-conditioned row."""
+    states = int(torque is with_a_state)
+    scene = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=torque, states=states)
+    start = {"w0": (0.9, -1.4, 1.1), **({"s0": (0.1,)} if states else {})}
+    reference = fa.propagate(
+        scene, [0.5, 0.4, 0.6, 0.5], dt=0.005, n_steps=400, method="rk9", **start
+    )
+    run = fa.propagate(
+        scene, [0.5, 0.4, 0.6, 0.5], dt=0.25, n_steps=8, method="gbs16",
+        representation=representation, **start,
+    )  # fmt: skip
+    assert angle(run.q[-1], reference.q[-1]) < 1e-13

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact import EPS, START, conj, exp, generic, matrix, observed_order, rotate, steady
+from exact import EPS, conj, exp, generic, matrix, observed_order, rotate, steady
 
 import fastatt as fa
 
 BODIES = generic(3)
-RATE_METHODS = [m.name for m in fa.METHODS.values() if "rate" in m.scenes]
+# a derivative, one exponential, two, and a rotation: the direction knows no more of a method
+SOME_METHODS = ["rk4", "magnus4", "cf4", "gauss12"]
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 rng = np.random.default_rng(5)
 VECTORS = rng.normal(size=(3, 4, 3)) * np.array([1.0, 1e-3, 1e3, 1.0])[:, None]
@@ -27,7 +28,7 @@ def seen(bodies, t, v, frame="body"):
     return rotate(q[:, None] if frame == "inertial" else conj(q)[:, None], v)
 
 
-@pytest.mark.parametrize("method", RATE_METHODS)
+@pytest.mark.parametrize("method", SOME_METHODS)
 def test_observed_order(method):
     v = VECTORS / np.linalg.norm(VECTORS, axis=-1, keepdims=True)
     end = seen(BODIES, 2.0, v)
@@ -38,7 +39,7 @@ def test_observed_order(method):
     assert observed_order(error) == pytest.approx(fa.METHODS[method].order, abs=0.25)
 
 
-@pytest.mark.parametrize("method", RATE_METHODS)
+@pytest.mark.parametrize("method", SOME_METHODS)
 def test_directions_are_the_rows_of_the_matrix(method):
     """The inertial axes seen from the body; the same step, so round-off is all the difference."""
     axes = np.broadcast_to(np.eye(3), (3, 3, 3))
@@ -76,7 +77,7 @@ def test_each_body_has_its_own_rate():
         assert (alone[:, 0] == found[:, b]).all()
 
 
-@pytest.mark.parametrize("method", RATE_METHODS)
+@pytest.mark.parametrize("method", SOME_METHODS)
 def test_lengths_and_scalar_products_are_kept(method):
     """The first integrals; exponentials keep them to round-off, RK4 to its own error."""
     _, v = run(VECTORS, method=method, save_every=10)
@@ -92,8 +93,7 @@ def test_lengths_and_scalar_products_are_kept(method):
 def test_inertial_rate_carries_body_vectors_outwards():
     """v fixed in the body, seen from inertial axes: v_i = q∘v∘q*."""
     scene = fa.Scene(rate=BODIES.model, frame="inertial")
-    _, found = run(VECTORS, scene)
-    error = np.abs(found[-1] - seen(BODIES, N * H, VECTORS, "inertial"))
+    error = np.abs(run(VECTORS, scene)[1][-1] - seen(BODIES, N * H, VECTORS, "inertial"))
     assert error.max() < 1e-9 * 1e3
 
 
@@ -105,22 +105,8 @@ def test_a_turn_about_z_brings_x_to_minus_y():
     assert v[-1, 0, 0] == pytest.approx(matrix(exp([0, 0, np.pi / 2]))[0], abs=4 * EPS)
 
 
-def test_negative_step_goes_back():
-    _, there = run(VECTORS)
-    _, back = run(there[-1], h=-H, t0=N * H)
-    size = np.linalg.norm(VECTORS, axis=-1, keepdims=True)
-    assert (np.abs(back[-1] - VECTORS) / size).max() < 12 * EPS * N
-
-
 def test_float32():
     _, v = run(VECTORS.astype(np.float32), method="magnus4")
     assert v.dtype == np.float32
     size = np.linalg.norm(VECTORS, axis=-1, keepdims=True)
     assert (np.abs(v[-1] - seen(BODIES, N * H, VECTORS)) / size).max() < 2.0**-24 * 4 * N
-
-
-def test_start_attitude_does_not_matter():
-    """A star seen from the body turns by the body's rate alone."""
-    v = rotate(conj(START), VECTORS)
-    q = BODIES.attitude(0.0, N * H, START)
-    assert np.abs(run(v)[1][-1] - rotate(conj(q)[:, None], VECTORS)).max() < 1e-9 * 1e3

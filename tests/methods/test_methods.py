@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from pathlib import Path
 
@@ -22,13 +21,11 @@ from exact import (
     observed_order,
     steady,
 )
-from numpy.testing import assert_array_equal
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.engine.job import Job
-from fastatt.kernels.vec3 import add, axpy, cross, scale
 from fastatt.scene.equations import Body, Turning
 
 BODIES = generic(3)
@@ -36,7 +33,6 @@ START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
 END = BODIES.attitude(0.0, SPAN)
 METHODS = [m for m in fa.METHODS.values() if "rate" in m.scenes]
-EXPONENTIAL = combinations(exponential=True)
 
 
 def final_error(n, method, representation):
@@ -46,36 +42,15 @@ def final_error(n, method, representation):
     return angle(traj.q[-1], END).max()
 
 
-@pytest.mark.parametrize(("method", "representation"), combinations())
+def some(pairs):
+    """Every method on quaternions; a derivative and an exponential on all representations."""
+    return [(m, r) for m, r in pairs if r == "quat" or m in ("rk4", "magnus4")]
+
+
+@pytest.mark.parametrize(("method", "representation"), some(combinations()))
 def test_observed_order_is_the_declared_one(method, representation):
     found = observed_order(lambda n: final_error(n, method, representation), SPAN)
     assert found == pytest.approx(fa.METHODS[method].order_of("rate"), abs=0.25)
-
-
-# the same measure sees a wrong coefficient
-
-
-def wrong_sign(w, t, h):
-    """Magnus-4 with the commutator of the other convention."""
-    a, b = w(t + 0.21132486540518713 * h), w(t + 0.7886751345948129 * h)
-    return (scale(h, axpy(-0.14433756729740643 * h, cross(a, b), scale(0.5, add(a, b)))),)
-
-
-def wrong_digit(w, t, h):
-    """CG3 with one weight 1 % off, the sum of weights kept."""
-    return (
-        scale((13.0 / 51.0 + 0.01) * h, w(t)),
-        scale((-2.0 / 3.0 - 0.01) * h, w(t + 0.75 * h)),
-        scale(24.0 / 17.0 * h, w(t + 17.0 / 24.0 * h)),
-    )
-
-
-@pytest.mark.parametrize(("exponents", "declared"), [(wrong_sign, 4), (wrong_digit, 3)])
-def test_order_shows_a_wrong_coefficient(exponents, declared):
-    """Both fall to a lower order: 2, and 1."""
-    method = fa.lie_group("new", order=declared, exponents=exponents)
-    found = observed_order(lambda n: final_error(n, method, "quat"), SPAN)
-    assert found < declared - 0.75
 
 
 # error constants
@@ -158,38 +133,13 @@ def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
     assert (1.0 - np.abs(factor))[small] == pytest.approx(THETAS[small] ** 6 / norm_6, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("representation", "limit"),
-    [
-        ("quat", 4.0 * math.sqrt(2.0)),
-        ("dcm", 2.0 * math.sqrt(2.0)),
-        ("dcm_rows", 2.0 * math.sqrt(2.0)),
-    ],
-)
-def test_rk4_is_stable_beyond_what_it_is_trusted_with(representation, limit):
-    """Below, lengths across the axis die out; above, they grow; the status says so of both."""
-    w = np.outer([0.99 * limit, 1.01 * limit], [0.0, 0.0, 1.0])
-    start = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    traj = fa.propagate(
-        steady(w).scene, start, dt=1.0, n_steps=50, method="rk4", representation=representation
-    )
-    below, above = traj.norm_error[-1]
-    if representation == "quat":
-        assert below < -0.5
-    else:
-        assert 0.5 < below <= math.sqrt(3.0)  # rows of length 0
-    assert above > 1.0
-    assert fa.METHODS["rk4"].limit(representation) < 0.6 * limit
-    assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE | fa.Status.NORM_LOST] * 2
-
-
 # a constant rate
 
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 
 
-@each(("method", "representation"), EXPONENTIAL)
+@each(("method", "representation"), some(combinations(exponential=True)))
 def test_exponentials_are_exact_for_a_constant_rate(method, representation):
     """At any angle, though a step is vouched for up to the limit only where the rate may vary."""
     sizes = np.array([0.0, 1e-160, 1e-9, 0.06, 1.0, 2.2])
@@ -210,7 +160,7 @@ def test_exponentials_are_exact_for_a_constant_rate(method, representation):
 # time reversal
 
 
-@each(("method", "representation"), combinations())
+@each(("method", "representation"), some(combinations()))
 def test_negative_step_retraces(method, representation):
     """Symmetric methods to round-off, the others to their own error.
 
@@ -234,26 +184,6 @@ def test_reversible_methods_are_those_that_are_symmetric():
     assert found == {"lie_midpoint", "magnus4", "magnus6", "magnus8", "gauss12", "cf4"}
 
 
-@pytest.mark.parametrize("frame", ["body", "inertial"])
-def test_a_constant_rate_is_one_exponential_in_every_exact_method(frame):
-    w = np.random.default_rng(3).normal(size=(70, 3))
-    scene = fa.Scene(rate=fa.rates.Constant(w), frame=frame)
-    q0 = np.random.default_rng(4).normal(size=(70, 4))
-    ends = {
-        m: fa.propagate(scene, q0, dt=0.3, n_steps=9, method=m).q[-1]
-        for m in fa.methods_for(scene, "quat")
-        if fa.METHODS[m].exact_for_constant
-    }
-    assert set(ends) == {
-        "lie_euler", "lie_midpoint", "magnus4", "magnus6", "magnus8", "cf4", "cg3",
-    }  # fmt: skip
-    turn = fa.rotation_vector_to_quat(2.7 * w)
-    whole = fa.quat_multiply(*((q0, turn) if frame == "body" else (turn, q0)))
-    for end in ends.values():
-        assert_array_equal(end, ends["cg3"])
-        assert angle(end, whole).max() < 1e-14
-
-
 # the records
 
 
@@ -272,6 +202,11 @@ def test_record_is_complete(record):
     kinds = {*FAMILIES, "body", "torqued", "rates", "increments"}
     assert set(record.limits) <= kinds
     assert record.exact_for_constant <= (record.exponentials > 0)
+    if record.stages:
+        free, other, at = np.array(record.stages).T
+        assert [free.sum(), other.sum()] == pytest.approx([1.0, 1.0], abs=1e-15)
+        assert at == pytest.approx(np.cumsum(free), abs=1e-15)
+        assert free == pytest.approx(free[::-1], abs=1e-15)
 
 
 @pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows", "euler313"])
@@ -341,7 +276,7 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
     monkeypatch.setattr(Turning, "turned", counting("turns", Turning.turned))
     packed = SCENES[kind].packed(None, sorted_axes=record.sorted_axes)
     formulas = Job(record, QUATERNION, packed.structure).formulas
-    assert formulas.small_angle.plain.results
+    assert formulas.small_angle.results
     assert max(1, len(record.stages)) * counts["evaluations"] == record.rate_calls
     assert kind != "rate" or counts["turns"] == record.exponentials
 
@@ -349,19 +284,11 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
 TORQUED = fa.Scene(inertia=(2.0, 1.0, 0.8), torque=fa.torques.QuadraticDamping(0.1))
 
 
-@pytest.mark.parametrize(
+@each(
     ("scene", "method", "reason"),
     [
-        (
-            fa.Scene(inertia=(2.0, 1.0, 0.8)),
-            "magnus4",
-            "magnus4 needs a rate; this scene has inertia",
-        ),
-        (
-            fa.Scene(rate=fa.rates.Coning(0.1, 1.0)),
-            "dmv2",
-            "dmv2 needs inertia; this scene has a rate",
-        ),
+        (TORQUED, "magnus4", "magnus4 needs a rate; this scene has inertia"),
+        (BODIES.shared, "dmv2", "dmv2 needs inertia; this scene has a rate"),
         (TORQUED, "dmv2", "dmv2 is for spherical, symmetric, free bodies; this is torqued"),
         (TORQUED, "strang2", "strang2 needs a torque that does not depend on w, but for linear"),
         (TORQUED, "hold", "hold is for samples: fastatt.integrate_rates"),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 from PIL import Image
 
 import fastatt as fa
-from fastatt import plots
-from fastatt.plots import animated, runs, study
+from fastatt.plots import runs, study
 from fastatt.plots.drawing import COLOURS, GREY, styles_of
 
 BODY = fa.Scene(inertia=(3.0, 2.0, 1.0))
@@ -66,36 +67,35 @@ def test_one_body():
     assert set(curves(alone[3])) == {"norm error"}
 
 
+OWN = {"dt": [0.1, 0.05], "n_steps": [40, 80], "save_at": [0, 0.5, 0.7]}
+
+
 @pytest.mark.parametrize(
     ("bodies", "options", "title"),
-    [
-        (1, {"save_at": [0.0, 0.5, 0.55]}, "rk4, 1 body, step 0.1 s"),
-        (
-            2,
-            {"dt": [0.1, 0.05], "n_steps": [40, 80], "save_at": [0, 0.5, 0.7]},
-            "step 0.05 to 0.1 s",
-        ),
-    ],
+    [(1, {"save_at": [0.0, 0.5, 0.55]}, "rk4, 1 body, step 0.1 s"), (2, OWN, "step 0.05 to 0.1 s")],
 )
-def test_runs_with_saves_at_given_times(bodies, options, title, tmp_path):
+def test_runs_with_saves_at_given_times(bodies, options, title):
     """Whose steps are an array."""
     run = run_of(bodies, save_every=None, **options)
-    assert title in drawn(fa.plots.history, run, scene=BODY).get_suptitle()
-    assert title in drawn(fa.plots.polhode, run, scene=BODY).get_suptitle()
-    fa.plots.animation(run, tmp_path / "run.gif", seconds=0.1, fps=20)
+    for draw in (fa.plots.history, fa.plots.polhode):
+        assert title in drawn(draw, run, scene=BODY).get_suptitle()
+
+
+def euler_lines(scene):
+    """Of a body that rotates by 10 rad."""
+    run = fa.propagate(scene, [0.8, 0.6, 0, 0], dt=0.1, n_steps=100, save_every=1)
+    return run, drawn(fa.plots.history, run, scene=None).axes[1]
 
 
 def test_angles_go_on_past_180_degrees():
-    """A body that rotates about its third axis by 10 rad."""
-    run = fa.propagate(RATE, [0.8, 0.6, 0, 0], dt=0.1, n_steps=100, save_every=1)
-    psi = curves(drawn(fa.plots.history, run, scene=None).axes[1])["ψ"].get_ydata()
+    """About the third axis."""
+    run, axes = euler_lines(RATE)
+    psi = curves(axes)["ψ"].get_ydata()
     assert np.allclose(psi - psi[0], np.degrees(run.t), rtol=0.0, atol=1e-9)
 
 
 def test_angles_break_where_the_third_axis_passes_the_pole():
-    run = fa.propagate(TUMBLE, [0.8, 0.6, 0, 0], dt=0.1, n_steps=100, save_every=1)
-    lines = drawn(fa.plots.history, run, scene=None).axes[1].lines
-    values = np.stack([line.get_ydata() for line in lines])
+    values = np.stack([line.get_ydata() for line in euler_lines(TUMBLE)[1].lines])
     assert np.isnan(values).any()
     with np.errstate(invalid="ignore"):
         assert np.nanmax(np.abs(np.diff(values))) <= 120.0
@@ -114,9 +114,8 @@ def test_many_bodies_are_percentiles_and_bad_ones_do_not_matter():
     assert "9 bodies" in figure.get_suptitle()
     w0 = run.w[0].copy()
     w0[4] = np.nan
-    run = fa.propagate(
-        BODY, run.q[0], w0, dt=0.1, n_steps=40, save_every=1, method="rk4", invalid="flag"
-    )
+    steps = {"dt": 0.1, "n_steps": 40, "save_every": 1, "method": "rk4"}
+    run = fa.propagate(BODY, run.q[0], w0, **steps, invalid="flag")
     figure = drawn(fa.plots.history, run, scene=BODY)
     assert "1 flagged" in figure.get_suptitle()
     assert np.isfinite(curves(figure.axes[2])["angular momentum, relative"].get_ydata()[1:]).all()
@@ -153,10 +152,9 @@ def test_polhode_is_poinsots():
 def test_no_polhode_of_a_flagged_body():
     """Steps too large for it: its curve would be another motion's."""
     w0 = np.array([[0.3, 0.2, 0.5], [30.0, 20.0, 50.0], [0.1, 0.4, 0.2]])
+    steps = {"dt": 0.1, "n_steps": 50, "save_every": 1, "method": "rk4"}
     with pytest.warns(fa.StepWarning):
-        run = fa.propagate(
-            BODY, (1, 0, 0, 0), w0, dt=0.1, n_steps=50, save_every=1, method="rk4", invalid="flag"
-        )
+        run = fa.propagate(BODY, (1, 0, 0, 0), w0, **steps, invalid="flag")
     assert run.status.astype(bool).tolist() == [False, True, False]
     assert len(drawn(fa.plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 2
     with pytest.raises(ValueError, match="bodies: found 1, which is flagged"):
@@ -182,30 +180,8 @@ def test_colours_are_apart_in_grey():
 def test_files(tmp_path):
     run = run_of(n_steps=8)
     run.plot(tmp_path / "run.png", BODY)
-    fa.plots.animation(run, tmp_path / "run.gif", seconds=0.15, fps=20)
     with Image.open(tmp_path / "run.png") as picture:
         assert picture.size == (990, 1144)
-    with Image.open(tmp_path / "run.gif") as film:
-        assert film.n_frames == 3
-        assert film.info["duration"] == 50
-        pictures = []
-        for k in (0, 2):
-            film.seek(k)
-            pictures.append(np.asarray(film.convert("RGB"), dtype=int))
-    assert np.abs(pictures[0] - pictures[1]).max() > 100
-
-
-def test_the_film_turns_the_box(monkeypatch):
-    stage = animated._Stage(Figure())
-    seen = []
-    monkeypatch.setattr(stage.faces, "set_verts", seen.append)
-    C = fa.quat_to_dcm([0.5, 0.5, -0.5, 0.5])
-    stage.show(C, "t")
-    centres = np.mean(seen[0], axis=1)  # of the faces, two an axis, the negative one first
-    assert np.abs(centres[1::2] - (C * [0.75, 0.5, 0.2]).T).max() <= 1e-15
-    assert np.abs(centres[::2] + centres[1::2]).max() <= 1e-15
-    for k, arm in enumerate(stage.arms):
-        assert np.allclose(np.transpose(arm.get_data_3d())[1], 1.15 * C[:, k])
 
 
 @pytest.mark.parametrize(
@@ -214,23 +190,18 @@ def test_the_film_turns_the_box(monkeypatch):
         ("history", {"saves": None}, "run: has 1 save; accepted: two or more"),
         ("polhode", {"scene": RATE}, "scene: found a rate; accepted: a scene with inertia"),
         ("polhode", {"scene": BODY, "bodies": [1]}, r"bodies: found \[1\]; accepted: 1 to 8 of 0"),
-        ("animation", {"body": 1}, "body: found 1; accepted: 0 to 0"),
-        ("animation", {"path": "x.txt"}, "path: found x.txt; accepted here: .gif"),
-        ("animation", {"seconds": 0.0}, "seconds: found 0.0; accepted: above 0"),
     ],
 )
 def test_refusals(draw, given, message, tmp_path):
     run = run_of(save_every=given.get("saves", 1), n_steps=2)
-    options = {"path": "x.gif"} | {name: x for name, x in given.items() if name != "saves"}
-    options["path"] = tmp_path / options["path"]
+    options = {name: x for name, x in given.items() if name != "saves"}
     with pytest.raises(ValueError, match=message):
-        getattr(fa.plots, draw)(run, **options)
+        getattr(fa.plots, draw)(run, path=tmp_path / "a.png", **options)
 
 
 def test_what_is_no_run_is_refused(tmp_path):
-    for draw in (fa.plots.history, fa.plots.animation):
-        with pytest.raises(TypeError, match=r"run: found .run\.csv.; accepted: a Trajectory"):
-            draw("run.csv", tmp_path / "x.gif")
+    with pytest.raises(TypeError, match=r"run: found .run\.csv.; accepted: a Trajectory"):
+        fa.plots.history("run.csv", tmp_path / "a.png")
 
 
 def study_figure(monkeypatch, draw, *arguments):
@@ -240,63 +211,61 @@ def study_figure(monkeypatch, draw, *arguments):
     return figures[0]
 
 
-def texts(axes):
-    return {text.get_text(): text for text in axes.texts}
-
-
-def test_work_precision_says_what_it_shows(monkeypatch):
-    rk4 = plots.MethodCurve("rk4", "quat", [1e-6, 2e-6], [1e-3, 1e-5])
-    exact = plots.MethodCurve("exact", "quat", [3e-6], [0.0])
-    slow = plots.MethodCurve("slow", "quat", [5e-6, 6e-6], [1e-2, 1e-4], leads=False)
-    slow_matrix = plots.MethodCurve("slow", "dcm", [5e-6, 6e-6], [1e-2, 1e-4], leads=False)
-    ladders = [rk4, exact, slow, slow_matrix]
-    panels = [plots.Panel(title, 20.0, ladders, rk4) for title in ("cones", "tops")]
-    figure = study_figure(monkeypatch, plots.work_precision, panels, "all")
+def test_a_picture_of_errors_says_what_it_shows(monkeypatch):
+    methods = [
+        study.Curve("rk4", [1.0, 2.0], [1e-3, 1e-5]),
+        study.Curve("exact", [3.0], [0.0]),
+        study.Curve("cf4", [5.0, 6.0], [1e-2, 1e-4], leads=False),
+    ]
+    panels = [study.Panel(title, "time, µs", methods) for title in ("quaternion", "matrix")]
+    figure = study_figure(monkeypatch, study.work_precision, panels, "all")
     assert figure.get_suptitle() == "all"
-    assert [axes.get_title() for axes in figure.axes] == ["cones", "tops"]
-    x_labels = {axes.get_xlabel() for axes in figure.axes}
-    assert x_labels == {"time per body for 20 s of motion, µs"}
-    assert labels(figure) == ["attitude error at the end, median over bodies, rad", ""]
-    best, method, closed, dominated = figure.axes[0].lines
-    assert np.allclose(method.get_xdata(), [1.0, 2.0])
-    assert np.array_equal(method.get_ydata(), [1e-3, 1e-5])
-    assert np.array_equal(best.get_ydata(), [1e-3, 1e-5])
-    assert figure.axes[0].get_ylim()[0] < closed.get_ydata()[0] > 0.0
-    assert dominated.get_color() == GREY not in {method.get_color(), closed.get_color()}
-    assert set(texts(figure.axes[0])) == {"rk4", "exact", "slow"}
-    shown = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert shown == ["frontier", "dominated by other methods"]
+    assert [axes.get_title() for axes in figure.axes] == ["quaternion", "matrix"]
+    assert {axes.get_xlabel() for axes in figure.axes} == {"time, µs"}
+    assert labels(figure) == ["largest attitude error at the end, rad", ""]
+    for axes in figure.axes:
+        lines = curves(axes)
+        assert np.array_equal(lines["rk4"].get_ydata(), [1e-3, 1e-5])
+        assert axes.get_ylim()[0] < lines["exact"].get_ydata()[0] > 0.0
+        low, high = axes.get_xlim()
+        assert low < 1.0
+        assert high > 6.0
+        assert high / low >= 10.0
+        assert lines["cf4"].get_alpha() < 1.0
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["rk4", "cf4", "exact"]
 
 
-def test_recordings_have_no_truth(monkeypatch):
-    t = np.linspace(0.0, 10.0, 200)
-    log = plots.Departures("log", t, {"hold": 0.1 + t, "previous": 0.01 + 0.1 * t}, 2.0 + t)
-    figure = study_figure(monkeypatch, plots.recordings, [log], "coning3")
-    assert labels(figure) == ["difference from coning3, deg"]
-    assert set(texts(figure.axes[0])) == {"hold", "previous", "maker's orientation"}
-    shown = [line.get_ydata() for line in figure.axes[0].lines]
-    np.testing.assert_array_equal(shown, [*log.methods.values(), log.maker])
+def test_a_picture_of_drifts_has_a_row_for_each_quantity(monkeypatch):
+    panels = [study.Panel("quaternion", "steps", [study.Curve("rk4", [1.0, 1e5], [1e-9, 1e-4])])]
+    rows = {"norm": panels, "energy": panels}
+    figure = study_figure(monkeypatch, study.drift, rows, "drift")
+    assert labels(figure) == ["norm", "energy"]
+    assert all(axes.get_xscale() == axes.get_yscale() == "log" for axes in figure.axes)
+
+
+def test_a_method_looks_the_same_in_all_pictures():
+    alone, among = styles_of(["rk8"]), styles_of(["exact", "mine", "rk8", "rk4"])
+    assert alone["rk8"] == among["rk8"]
+    every = styles_of(list(fa.METHODS))
+    looks = {(style["color"], style["marker"]) for style in every.values()}
+    assert len(looks) == len(fa.METHODS)
+    single = styles_of(["rk4 in float32"])["rk4 in float32"]
+    assert (single["color"], single["marker"]) == (every["rk4"]["color"], every["rk4"]["marker"])
 
 
 def test_no_style_twice():
-    styles = styles_of([str(k) for k in range(60)], grey=[str(k) for k in range(0, 48, 2)])
+    names = [*fa.METHODS, *(str(k) for k in range(24))]
+    styles = styles_of(names, grey=names[-24:])
     looks = {tuple(sorted((k, v) for k, v in s.items() if k != "lw")) for s in styles.values()}
-    assert len(looks) == 60
+    assert len(looks) == len(names)
+    assert styles["0"]["color"] == GREY
 
 
-def test_names_cover_neither_each_other_nor_the_curves(monkeypatch):
-    """Of seven curves that end within a few pixels of each other."""
-    x = np.array([1e-6, 1e-5])
-    ladders = [plots.MethodCurve(f"method{k}", "quat", x, [1e-2, 1e-8 * 1.05**k]) for k in range(7)]
-    ladders.append(plots.MethodCurve("far, with a long name", "quat", x, [1.0, 1e-1]))
-    panel = plots.Panel("cones", 20.0, ladders, ladders[0])
-    (axes,) = study_figure(monkeypatch, plots.work_precision, [panel], "all").axes
-    boxes = [text.get_window_extent() for text in axes.texts]
-    assert len(boxes) == 8
-    frame = axes.get_window_extent()
-    for k, box in enumerate(boxes):
-        assert not any(box.overlaps(other) for other in boxes[:k])
-        assert frame.containsx(box.x0)
-        assert frame.containsx(box.x1)
-    end, far = axes.transData.transform((10.0, 1e-1)), boxes[-1]
-    assert np.abs(np.clip(end, far.p0, far.p1) - end).max() < 30.0
+def test_without_matplotlib_the_extra_is_named():
+    hidden = "import sys; sys.modules['matplotlib'] = None; import fastatt.plots"
+    command = [sys.executable, "-c", hidden]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.stderr.splitlines()[-1] == (
+        "ImportError: pictures: need matplotlib; install it with pip install 'fastatt[plot]'"
+    )

@@ -64,3 +64,13 @@ def test_inertial_axes_are_the_body_ones_turned():
 def test_refusals(arguments, message):
     with pytest.raises(ValueError, match=message):
         fa.angular_velocity(*arguments)
+
+
+@pytest.mark.parametrize("order", [2, 4, 6])
+def test_attitudes_that_nearly_coincide_do_not_magnify_noise(order):
+    """Of a body at rest, but between the two attitudes themselves."""
+    noise = 1e-6 * np.random.default_rng(3).normal(size=(60, 3))
+    dt = np.full(59, 0.01)
+    dt[30] = 1e-8
+    w = fa.angular_velocity(fa.rotation_vector_to_quat(noise), dt, order=order)
+    assert np.abs(w).max() < 100.0 * 1e-6 / 0.01

@@ -40,9 +40,6 @@ TAKE_TIME = {
     "t0": lambda d: fa.propagate(FREE, [1, 0, 0, 0], [0, 0, 1], dt=1.0, n_steps=2, t0=d),
     "t": lambda d: fa.closed_form.free_body([1, 0, 0, 0], [0, 0, 1], (1, 1, 1), d),
     "dt of samples": lambda d: fa.integrate_rates(np.ones((3, 3)), d),
-    "torque: Sampled.dt": lambda d: fa.Scene(
-        inertia=(1, 1, 1), torque=fa.torques.Sampled(np.ones((3, 3)), d)
-    ),
 }
 
 

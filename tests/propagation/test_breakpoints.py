@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt import angle_between as angle
-from fastatt.propagation.breakpoints import corners_of, parts_of
+from fastatt.propagation.breakpoints import corners_of
 
 J = np.array((2.0, 1.0, 2.0 / 3.0))
 W0 = np.array((0.1, 0.2, 0.3))
@@ -88,16 +88,12 @@ def final(scene, **options):
     return fa.propagate(scene, START, w0, **options)
 
 
-def stepped(scene):
-    return [name for name in fa.methods_for(scene) if fa.METHODS[name].is_stepped]
-
-
-@pytest.mark.parametrize("method", stepped(OPEN))
+@pytest.mark.parametrize("method", ["rk4", "strang2", "kahan_li8", "rkmk4", "gbs16"])
 def test_order_of_bodies(method):
     check_order((OPEN, CLOSED), method, BODY_END)
 
 
-@pytest.mark.parametrize("method", stepped(RATES[0]))
+@pytest.mark.parametrize("method", ["lie_euler", "rk4", "magnus4", "cg3", "magnus8"])
 def test_order_of_rates(method):
     check_order(RATES, method, RATE_END)
 
@@ -139,7 +135,7 @@ def test_at_begin_and_end(scene):
     assert angle(back.q[-1], exact[0][:4]) < 1e-13
 
 
-@pytest.mark.parametrize("method", ["rk8", "strang2", "suzuki4"])
+@pytest.mark.parametrize("method", ["rk8", "strang2", "kahan_li8"])
 def test_backwards(method):
     """Steps back undo steps, whose parts they take in the other order."""
     there = final(OPEN, dt=0.01, n_steps=500, method=method)
@@ -167,19 +163,14 @@ def ensemble(n=N):
     return rng.normal(size=(n, 4)), rng.normal(size=(n, 3))
 
 
-@pytest.mark.parametrize("method", ["rk4", "rk8", "strang2"])
-def test_per_body_steps(method):
-    """Bit for bit what each body does alone, and right."""
+@pytest.mark.parametrize(("method", "bound"), [("rk4", 1e-4), ("rk8", 1e-11), ("strang2", 0.03)])
+def test_per_body_steps(method, bound):
     q0, w0 = ensemble()
     counts = np.random.default_rng(5).integers(80, 160, size=N)
     counts[3] = 100  # 2.5 s ends one of its steps
     run = fa.propagate(OPEN, q0, w0, dt=END / counts, n_steps=counts, method=method)
     fine = fa.propagate(OPEN, q0, w0, dt=END / 4000, n_steps=4000, method="rk8")
-    assert angle(run.q[-1], fine.q[-1]).max() < {"rk4": 1e-4, "rk8": 1e-11, "strang2": 0.03}[method]
-    for b in (3, N - 1):
-        h, n = END / counts[b], int(counts[b])
-        alone = fa.propagate(OPEN, q0[b], w0[b], dt=h, n_steps=n, save_at=[END], method=method)
-        np.testing.assert_array_equal(run.q[-1, b], alone.q[-1])
+    assert angle(run.q[-1], fine.q[-1]).max() < bound
 
 
 def same(a, b):
@@ -189,128 +180,20 @@ def same(a, b):
     np.testing.assert_array_equal(a.status, b.status)
 
 
-@pytest.mark.parametrize("method", ["rk4", "kahan_li6"])
-@pytest.mark.parametrize("steps", [4, 5, 8, 9, 10, 11, 14, 19])
-def test_resumed(method, steps, tmp_path):
-    """To the bits of one run, wherever it was left: before, on and after a breakpoint."""
-    q0, w0 = ensemble(3)
-    whole = fa.propagate(OPEN, q0, w0, dt=0.25, n_steps=20, method=method)
-    first = fa.propagate(OPEN, q0, w0, dt=0.25, n_steps=steps, method=method)
-    first.save_end(tmp_path / "end")
-    for end in (first, tmp_path / "end"):
-        same(fa.propagate(OPEN, dt=0.25, n_steps=20 - steps, resume=end), whole)
-    with pytest.raises(ValueError, match=r"^breakpoints: found \[\]; accepted: \[1.03"):
-        fa.propagate(body(()), dt=0.25, n_steps=1, resume=first)
-
-
-def test_saves_a_few_at_a_time(tmp_path):
-    q0, w0 = ensemble()
-    options = {"dt": 0.05, "t_end": 4.99, "save_every": 1, "method": "rk8"}
-    whole = fa.propagate(OPEN, q0, w0, **options)
-    found = []
-
-    def keep(batch):
-        found.append((batch.t.copy(), batch.q.copy()))
-
-    run = fa.propagate(OPEN, q0, w0, **options, on_save=keep, resume=fa.checkpoint(tmp_path / "c"))
-    np.testing.assert_array_equal(np.concatenate([t for t, _ in found]), whole.t)
-    np.testing.assert_array_equal(np.concatenate([q for _, q in found]), whole.q)
-    assert whole.t[-1] == 4.99
-    again = fa.propagate(
-        OPEN, q0, w0, **options, on_save=keep, resume=fa.checkpoint(tmp_path / "c")
-    )
-    np.testing.assert_array_equal(again.q, run.q)
-
-
-@pytest.mark.parametrize("options", [{}, {"compensated": True}, {"normalise": 3}])
-def test_threads_parts_and_projection(options):
-    q0, w0 = ensemble(1500)
-    runs = [
-        fa.propagate(OPEN, q0, w0, dt=0.0125, n_steps=400, method="rk8", n_threads=n, **options)
-        for n in (1, 2)
-    ]
-    same(*runs)
-    some = fa.propagate(OPEN, q0[7], w0[7], dt=0.0125, n_steps=400, method="rk8", **options)
-    np.testing.assert_array_equal(runs[0].q[:, 7], some.q)
-    fine = fa.propagate(OPEN, q0, w0, dt=0.005, n_steps=1000, method="rk9")
-    assert angle(runs[0].q[-1], fine.q[-1]).max() < 1e-11
-
-
-def test_parts_cover_the_run():
-    """Each second once, in order, and none on both sides of a breakpoint; of random runs."""
-    rng = np.random.default_rng(0)
-    for _ in range(500):
-        h = float(rng.choice([0.25, 0.1, 0.3]) * rng.choice([1, -1]))
-        n, t0 = int(rng.integers(1, 12)), float(rng.choice([0.0, 7.0, -1.0]))
-        on_grid = rng.integers(0, 14, 4) * h
-        breaks = t0 + np.where(rng.random(4) < 0.5, on_grid, rng.random(4) * h * n)
-        end = None if rng.random() < 0.5 else float((n - rng.uniform(0.1, 0.9)) * h)
-        clocks, steps = parts_of(tuple(np.unique(breaks).tolist()), t0, h, n, end)
-        at, t, i, clock = 0, t0, 1, clocks[0]
-        while at < n:
-            begin, is_part = clock[2] + (clock[1] + at) * clock[0], False
-            if i < len(steps) and steps[i] == at:
-                clock, i = clocks[i], i + 1
-                if not clock[5]:
-                    continue
-                begin, is_part = clock[2], True
-            stop = begin + clock[0]
-            assert begin == pytest.approx(t, abs=1e-12)
-            assert clock[3] - 1e-12 <= min(begin, stop)
-            assert max(begin, stop) <= clock[4] + 1e-12
-            t = stop
-            at += int(clock[6]) if is_part else 1
-        assert t == pytest.approx(t0 + (n * h if end is None else end), abs=1e-12)
-        assert i == len(steps)
-
-
-def test_plan_of_any_begin():
-    made = fa.plan(OPEN, 1, dt=0.3, t_end=2.0, method="rk8")
-    for t0 in (0.0, 0.7, 2.5, 10.0):
-        run = fa.propagate(OPEN, START, W0, t0=t0, dt=0.3, t_end=2.0, method="rk8")
-        same(made(START, W0, t0=t0), run)
-        same(pickle.loads(pickle.dumps(made))(START, W0, t0=t0), run)
-
-
-def test_dask():
-    fd = pytest.importorskip("fastatt.dask")
-    q0, w0 = ensemble()
-    lazy = fd.propagate(OPEN, q0, w0, dt=0.3, t_end=END, chunks=32, save_every=2)
-    same(lazy.compute(), fa.propagate(OPEN, q0, w0, dt=0.3, t_end=END, save_every=2))
-
-
-@pytest.mark.parametrize("scene", [OPEN, RATES[0]])
-def test_float32(scene):
-    exact = RATE_END if scene.kind == "rate" else BODY_END
-    for options in ({}, {"save_at": [END]}):
-        run = final(scene, dt=0.1, n_steps=50, method="rk8" if scene is OPEN else "magnus8",
-                    dtype=np.float32, **options)  # fmt: skip
-        assert run.q.dtype == np.float32
-        assert angle(run.q[-1], exact[:4]) < 5e-6
-
-
 def test_velocity_and_position():
     """A force that jumps; what moves is split into two runs by hand."""
-
-    def push(t, q, w, v, p):
-        return (2.0 if t < 1.234 else -1.0), 0.1 * v[1], 0.0
-
-    def one(t, q, w, v, p):
-        return 2.0, 0.1 * v[1], 0.0
-
-    def other(t, q, w, v, p):
-        return -1.0, 0.1 * v[1], 0.0
 
     def scene(force, breakpoints=()):
         return fa.Scene(inertia=J, mass=3.0, force=force, breakpoints=breakpoints)
 
-    start = {"v0": (0.1, 0.2, 0.3), "r0": (0.0, 0.0, 0.0)}
-    run = fa.propagate(scene(push, 1.234), START, W0, **start, dt=0.1, n_steps=30, method="rk8")
-    half = fa.propagate(scene(one), START, W0, **start, dt=1.234 / 40, n_steps=40, method="rk8")
-    start = {"v0": half.v[-1], "r0": half.r[-1]}
-    rest = fa.propagate(
-        scene(other), half.q[-1], half.w[-1], **start, dt=1.766 / 40, n_steps=40, method="rk8"
-    )
+    jumps = scene(lambda t, q, w, v, p: ((2.0 if t < 1.234 else -1.0), 0.1 * v[1], 0.0), 1.234)
+    begin = scene(lambda t, q, w, v, p: (2.0, 0.1 * v[1], 0.0))
+    end = scene(lambda t, q, w, v, p: (-1.0, 0.1 * v[1], 0.0))
+    start = {"v0": (0.1, 0.2, 0.3), "r0": (0.0, 0.0, 0.0), "method": "rk8"}
+    run = fa.propagate(jumps, START, W0, **start, dt=0.1, n_steps=30)
+    half = fa.propagate(begin, START, W0, **start, dt=1.234 / 40, n_steps=40)
+    start |= {"v0": half.v[-1], "r0": half.r[-1]}
+    rest = fa.propagate(end, half.q[-1], half.w[-1], **start, dt=1.766 / 40, n_steps=40)
     np.testing.assert_allclose(run.r[-1], rest.r[-1], atol=1e-13)
     np.testing.assert_allclose(run.v[-1], rest.v[-1], atol=1e-13)
 
@@ -331,23 +214,32 @@ def read_by_a_function(t, q, w, p):
 LINEAR = of_table(SAMPLED_AT)
 # models with a linear table, the times of its samples, and the torque as NumPy has it
 LINEAR_MODELS = {
-    "history": (fa.torques.Sampled(SAMPLES, dt=0.5), SAMPLED_AT),
+    "even": (fa.torques.Constant(LINEAR), SAMPLED_AT),
     "table": (fa.torques.Constant(of_table(UNEVEN)), UNEVEN),
     "sum": (fa.torques.Sum((fa.torques.Damping(0.0), fa.torques.Constant(LINEAR))), SAMPLED_AT),
 }
 
 
-def linear_truth(times):
-    def slope(t, y):
+def table_truth(times, torque, angular=lambda t: 0.0, inside=False):
+    """(q, w) by DOP853 from sample to sample, under a torque(t, k) and a wheel's momentum."""
+
+    def slope(t, y, k):
         w = y[4:]
-        torque = [np.interp(t, times, column) for column in SAMPLES.T]
         turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
-        return np.concatenate([turned, (np.cross(J * w, w) + torque) / J])
+        return np.concatenate([turned, (np.cross(J * w + angular(t), w) + torque(t, k)) / J])
 
     y = np.append(START, W0)
-    for a, b in pairwise(times):
-        y = solve_ivp(slope, (a, b), y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    return y[:4] / np.linalg.norm(y[:4])
+    for k, (a, b) in enumerate(pairwise(times)):
+        low, high = (np.nextafter(a, 9.0), np.nextafter(b, -9.0)) if inside else (a, b)
+        y = solve_ivp(
+            lambda t, y, k=k, low=low, high=high: slope(np.clip(t, low, high), y, k), (a, b), y,
+            "DOP853", rtol=1e-13, atol=1e-14,
+        ).y[:, -1]  # fmt: skip
+    return y[:4] / np.linalg.norm(y[:4]), y[4:]
+
+
+def linear_truth(times):
+    return table_truth(times, lambda t, k: [np.interp(t, times, x) for x in SAMPLES.T])[0]
 
 
 @pytest.mark.parametrize("name", LINEAR_MODELS)
@@ -355,20 +247,16 @@ def test_linear_tables_bring_their_samples(name):
     """Models keep the order of a method with any step; a function has to declare them."""
     torque, times = LINEAR_MODELS[name]
     scene, exact = fa.Scene(inertia=J, torque=torque), linear_truth(times)
-    run = fa.propagate(scene, START, W0, dt=END / 41, n_steps=41, method="rk8")
+    options = {"dt": END / 41, "method": "rk8"}
+    run = fa.propagate(scene, START, W0, n_steps=41, **options)
     assert angle(run.q[-1], exact) < 1e-10
-    declared = replace(scene, breakpoints=times)
-    same(fa.propagate(declared, START, W0, dt=END / 41, n_steps=41, method="rk8"), run)
-    at = fa.propagate(scene, START, W0, dt=END / 41, t_end=END, save_at=[1.7, END], method="rk8")
+    same(fa.propagate(replace(scene, breakpoints=times), START, W0, n_steps=41, **options), run)
+    at = fa.propagate(scene, START, W0, t_end=END, save_at=[1.7, END], **options)
     assert angle(at.q[-1], exact) < 1e-10
-    q0, w0 = np.tile(START, (3, 1)), np.tile(W0, (3, 1))
-    each = fa.propagate(
-        scene, q0, w0, dt=END / np.array((41, 37, 61)), n_steps=np.array((41, 37, 61)), method="rk8"
-    )
+    counts = np.array((41, 37, 61))
+    options["dt"] = END / counts
+    each = fa.propagate(scene, np.tile(START, (3, 1)), W0, n_steps=counts, **options)
     assert angle(each.q[-1], exact).max() < 1e-10
-    first = fa.propagate(scene, START, W0, dt=END / 41, n_steps=17, method="rk8")
-    rest = fa.propagate(scene, dt=END / 41, n_steps=24, resume=first)
-    np.testing.assert_array_equal(rest.q, run.q)
 
 
 def test_a_function_declares_the_samples_of_its_table():
@@ -386,26 +274,15 @@ def test_a_function_declares_the_samples_of_its_table():
 def test_a_held_table_brings_its_samples(times):
     """Forwards and backwards; a function has to declare them."""
     held = of_table(times, "previous")
-
-    def slope(t, y, torque):
-        w = y[4:]
-        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
-        return np.concatenate([turned, (np.cross(J * w, w) + torque) / J])
-
-    y = np.append(START, W0)
-    for k, (a, b) in enumerate(pairwise(times)):
-        y = solve_ivp(
-            slope, (a, b), y, "DOP853", rtol=1e-13, atol=1e-14, args=(SAMPLES[k],)
-        ).y[:, -1]  # fmt: skip
-    exact = y[:4] / np.linalg.norm(y[:4])
+    exact, w = table_truth(times, lambda t, k: SAMPLES[k])
     steps = {"dt": END / 41, "n_steps": 41, "method": "rk8"}
     given = fa.Scene(inertia=J, torque=fa.torques.Constant(held))
     read = fa.Scene(inertia=J, torque=lambda t, q, w, p: held(t), breakpoints=held.t)
     for scene in (given, read):
         run = fa.propagate(scene, START, W0, **steps)
         assert angle(run.q[-1], exact) < 1e-10
-        assert np.abs(run.w[-1] - y[4:]).max() < 1e-10
-    back = fa.propagate(given, exact, y[4:], **{**steps, "dt": -END / 41}, t0=END)
+        assert np.abs(run.w[-1] - w).max() < 1e-10
+    back = fa.propagate(given, exact, w, **{**steps, "dt": -END / 41}, t0=END)
     assert angle(back.q[-1], START) < 1e-10
     late = fa.propagate(replace(read, breakpoints=()), START, W0, **steps)
     assert angle(late.q[-1], exact) > 1e-4
@@ -433,22 +310,10 @@ def test_a_switched_wheel_brings_its_samples():
     """Its torque is the slope of a cubic table, which has a corner at each sample."""
     momentum = fa.TimeSeries(SAMPLED_AT, 0.1 * SAMPLES)
     scene = fa.Scene(inertia=J, torque=fa.torques.Rotor(momentum))
-
-    def slope(t, y):
-        w, h, change = y[4:], np.array(momentum(t)), np.array(momentum.slope(t))
-        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
-        return np.concatenate([turned, (np.cross(J * w + h, w) - change) / J])
-
-    y = np.append(START, W0)
-    for a, b in pairwise(SAMPLED_AT):
-        inside = np.nextafter(a, 9.0), np.nextafter(b, -9.0)
-        y = solve_ivp(
-            lambda t, y, inside=inside: slope(np.clip(t, *inside), y), (a, b), y, "DOP853",
-            rtol=1e-13, atol=1e-14,
-        ).y[:, -1]  # fmt: skip
+    q, w = table_truth(SAMPLED_AT, lambda t, k: -np.array(momentum.slope(t)), momentum, inside=True)
     run = fa.propagate(scene, START, W0, dt=END / 83, n_steps=83, method="rk8")
-    assert angle(run.q[-1], y[:4] / np.linalg.norm(y[:4])) < 1e-10
-    assert np.abs(run.w[-1] - y[4:]).max() < 1e-10
+    assert angle(run.q[-1], q) < 1e-10
+    assert np.abs(run.w[-1] - w).max() < 1e-10
 
 
 def test_cubic_tables_bring_none():
@@ -483,6 +348,12 @@ def test_a_slew_brings_its_begin_and_end(method):
     assert corners_of(fa.Scene(rate=many)).size == 0
 
 
+def test_single_precision():
+    for options in ({}, {"save_at": [END]}):
+        run = final(OPEN, dt=0.1, n_steps=50, method="rk8", dtype=np.float32, **options)
+        assert angle(run.q[-1], BODY_END[:4]) < 5e-6
+
+
 def test_a_flag_in_a_part():
     """A torque that is infinite in a pulse is seen, of that body alone."""
     q0, w0 = ensemble(3)
@@ -490,15 +361,14 @@ def test_a_flag_in_a_part():
     torque = fa.torques.Custom(pulses, params, uses_rate=False)
     scene = fa.Scene(inertia=J, torque=torque, breakpoints=BREAKS)
     run = fa.propagate(scene, q0, w0, dt=0.25, n_steps=20, method="rk8")
-    assert run.status[1] != 0
-    assert not run.status[[0, 2]].any()
+    assert (run.status != 0).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("dt", [0.3, 0.25])
 def test_t_end(dt):
     """Of whole steps the run of so many, else the last step is shorter."""
     scene = fa.Scene(inertia=J)
-    for method in stepped(scene):
+    for method in ("rk4", "kahan_li8", "dmv10"):
         order = fa.METHODS[method].order_of("free")
         run = fa.propagate(scene, START, W0, dt=dt, t_end=END, save_every=3, method=method)
         assert run.t[-1] == END
@@ -554,20 +424,19 @@ def test_refused_ends(options, text):
             fa.propagate(OPEN, START, W0, dt=dt, **options)
 
 
-def test_refused():
+@pytest.mark.parametrize(
+    ("breakpoints", "error", "text"),
+    [
+        ((1.0, np.nan), ValueError, r"^breakpoints\[1\] is nan"),
+        ([[1.0], [2.0]], ValueError, r"^breakpoints: .*\(2, 1\).*accepted: times"),
+        ("soon", TypeError, r"^breakpoints: "),
+    ],
+)
+def test_refused(breakpoints, error, text):
+    with pytest.raises(error, match=text):
+        body(breakpoints)
     with pytest.raises(ValueError, match=r"^breakpoints: found for a free body; accepted"):
         fa.Scene(inertia=J, breakpoints=(1.0,))
-    with pytest.raises(ValueError, match=r"^breakpoints\[1\] is nan"):
-        body((1.0, np.nan))
-    with pytest.raises(ValueError, match=r"^breakpoints: .*\(2, 1\).*accepted: times"):
-        body([[1.0], [2.0]])
-    with pytest.raises(TypeError, match=r"^breakpoints: "):
-        body("soon")
-    first = final(OPEN, dt=0.3, t_end=1.0)
-    with pytest.raises(ValueError, match="does not hold its end"):
-        fa.propagate(OPEN, dt=0.3, n_steps=1, resume=first)
-    with pytest.raises(ValueError, match=r"^t_end: found with resume; accepted: n_steps"):
-        fa.propagate(OPEN, dt=0.3, t_end=1.0, resume=final(OPEN, dt=0.3, n_steps=1))
 
 
 def test_a_scene_with_breakpoints():

@@ -47,8 +47,9 @@ def test_orthogonality_of_a_matrix(representation):
     assert lie.orthogonality.max() < 20 * 12 * EPS
     assert plain.norm.max() < 4 * EPS
     halved = fa.propagate(
-        BODIES.scene, START3, dt=0.05, n_steps=40, method="rk4", representation=representation
-    )
+        BODIES.scene, START3, dt=0.05, n_steps=40, method="rk4", representation=representation,
+        save_every=40,
+    )  # fmt: skip
     ratio = plain.orthogonality[-1] / fa.drift(halved, BODIES.scene).orthogonality[-1]
     # at least h⁴, whichever of its terms leads
     assert (ratio > 12.0).all()
@@ -131,7 +132,7 @@ def test_summary_has_maxima_and_reasons():
 def test_a_body_that_is_lost_leaves_the_others_theirs():
     top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.2), 1.0))
     w0 = np.ones((3, 3))
-    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "invalid": "flag"}
+    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "invalid": "flag", "save_every": 2}
     for scene in (top, fa.Scene(inertia=(2.0, 1.0, 0.7))):
         well = fa.drift(fa.propagate(scene, START3, w0, **options), scene)
         lost = fa.propagate(scene, START3, [w0[0], [np.nan] * 3, w0[2]], **options)
@@ -141,3 +142,29 @@ def test_a_body_that_is_lost_leaves_the_others_theirs():
             if before is not None:
                 np.testing.assert_array_equal(now[:, [0, 2]], before[:, [0, 2]])
                 assert np.isnan(now[-1, 1])
+
+
+def test_of_one_save_nothing_changes():
+    one = fa.propagate(BODIES.scene, START3, dt=0.05, n_steps=4)
+    with pytest.raises(
+        ValueError, match=r"^run: has 1 save, .*accepted: two or more \(save_every="
+    ):
+        fa.drift(one, BODIES.scene)
+
+
+@pytest.mark.parametrize("n", [None, 3])
+def test_momentum_of_a_slew_from_rest_is_relative_to_that_of_the_body(n):
+    """The whole has none, so that the change is rounding at the size of the parts."""
+    wheels = fa.torques.ReactionWheels(np.eye(3), 0.02, fa.torques.QuaternionPD(1.0, 3.0))
+    scene = fa.Scene(inertia=wheels.body_inertia((4.0, 3.0, 2.0)), torque=wheels)
+    start = [0.8, 0.4, -0.4, 0.2], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+    q0, w0, s0 = start if n is None else (np.tile(x, (n, 1)) for x in start)
+    slew = fa.propagate(scene, q0, w0, s0=s0, dt=0.1, n_steps=200, save_every=10, method="rk8")
+    assert np.abs(slew.s).max() > 0.1
+    assert fa.drift(slew, scene).momentum.max() < 1e-13
+
+
+def test_momentum_of_a_body_at_rest_with_a_rotor_is_relative_to_that_of_the_rotor():
+    scene = fa.Scene(inertia=(4.0, 3.0, 2.0), torque=fa.torques.Rotor((0.0, 0.0, 1e-3)))
+    still = fa.propagate(scene, START, [1e-9, 0.0, 0.0], dt=0.1, n_steps=50, save_every=5)
+    assert fa.drift(still, scene).momentum.max() < 1e-13

@@ -124,7 +124,7 @@ def test_drift_with_wheels():
 
 def test_drift_that_is_not_defined():
     damped = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.Damping(0.1))
-    traj = fa.propagate(damped, START, W[0, 0], dt=0.1, n_steps=1, method="rk4")
+    traj = fa.propagate(damped, START, W[0, 0], dt=0.1, n_steps=1, save_every=1, method="rk4")
     assert fa.drift(traj, damped).energy is None
     assert fa.drift(traj, damped).momentum is None
     with pytest.raises(ValueError, match="scene: its torque has no potential"):
@@ -158,12 +158,3 @@ def test_closed_form_as_a_method(inertia, representation):
     assert angle(traj.q, q).max() < 8 * EPS
     assert np.array_equal(traj.w, w)
     assert not traj.status.any()
-
-
-def test_closed_form_in_single_precision():
-    scene = fa.Scene(inertia=(1.0, 2.0, 2.5))
-    options = {"dt": 1.0, "n_steps": 5}
-    double = fa.propagate(scene, START, W[0], **options)
-    single = fa.propagate(scene, START, W[0], dtype="float32", **options)
-    assert single.q.dtype == single.w.dtype == np.float32
-    assert 1e-9 < angle(single.q[-1], double.q[-1]).max() < 1e-5

@@ -87,40 +87,21 @@ def test_time_of_a_coning_body_is_that_of_its_closed_form():
     assert abs(found - 1.0 / m) < 1e-9
 
 
-def test_the_run_is_the_same_to_the_bit(free):
-    plain = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", save_every=50)
-    assert np.array_equal(free.q, plain.q)
-    assert np.array_equal(free.w, plain.w)
-    assert np.array_equal(free.status, plain.status)
-
-
-def test_a_body_has_the_times_that_it_has_in_an_ensemble(free):
-    for body in (0, 33, 69):
-        alone = fa.propagate(BODY, Q0[body], W0[body], **RUN, method="rk8", events=EVENTS)
-        assert alone.event_times.shape == (3,)
-        np.testing.assert_array_equal(alone.event_times, free.event_times[body])
-    threads = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, n_threads=2)
-    np.testing.assert_array_equal(threads.event_times, free.event_times)
-
-
-@pytest.mark.parametrize("method", fa.methods_for(BODY, need="is_stepped"))
-def test_every_method_locates_to_its_order(method, free):
+@pytest.mark.parametrize(
+    ("method", "bound"), [("strang2", 2e-2), ("rk4", 2e-5), ("kahan_li8", 1e-9), ("dmv10", 1e-9)]
+)
+def test_methods_locate_to_their_order(method, bound, free):
     found = fa.propagate(BODY, Q0, W0, **RUN, method=method, events=EVENTS).event_times
-    order = fa.METHODS[method].order
-    bound = {2: 2e-2, 4: 2e-5}.get(order, 1e-6 if order == 6 else 1e-9)
     assert np.array_equal(np.isnan(found), np.isnan(free.event_times))
-    assert np.nanmax(abs(found - free.event_times)) < bound
-    if order == 4:
-        fine = fa.propagate(
-            BODY, Q0, W0, dt=0.01, n_steps=1000, method=method, events=EVENTS
-        ).event_times
-        coarse = np.nanmax(abs(found - free.event_times))
+    coarse = np.nanmax(abs(found - free.event_times))
+    assert coarse < bound
+    if method == "rk4":
+        steps = {"dt": 0.01, "n_steps": 1000}
+        fine = fa.propagate(BODY, Q0, W0, **steps, method=method, events=EVENTS).event_times
         assert np.nanmax(abs(fine - free.event_times)) < coarse / 10.0
 
 
-@pytest.mark.parametrize(
-    "method", fa.methods_for(fa.Scene(rate=fa.rates.Coning(1.0, 1.0)), need="is_stepped")
-)
+@pytest.mark.parametrize("method", ["rk4", "magnus4", "cg3"])
 def test_methods_for_given_rates(method):
     scene = fa.Scene(rate=fa.rates.Coning(1.0, 1.0))
     wanted = times(first_rate, scene=scene, dt=0.02, n_steps=500, method="magnus8")
@@ -179,28 +160,20 @@ def test_the_direction_of_a_crossing_at_a_point_of_the_search():
 
 
 def test_two_crossings_within_one_step():
-    def parabola(t, q, w, p):
-        return (t - p[0]) ** 2 - p[1] ** 2
-
-    def cosine(t, q, w, p):
-        return math.cos(0.3 * p[1]) - math.cos(0.3 * (t - p[0]))
-
-    def skewed(t, q, w, p):
-        return ((t - p[0]) ** 2 - p[1] ** 2) * (10.0 + t - p[0])
-
+    shapes = (
+        lambda t, q, w, p: (t - p[0]) ** 2 - p[1] ** 2,
+        lambda t, q, w, p: math.cos(0.3 * p[1]) - math.cos(0.3 * (t - p[0])),
+        lambda t, q, w, p: ((t - p[0]) ** 2 - p[1] ** 2) * (10.0 + t - p[0]),
+    )
     # middles and halves of intervals, a body each; some next to an end of a step
     middles = [0.25, 2.0, 2.004, 2.1, 2.31, 2.45, 2.496, 9.75]
-    middle, half = np.array([*itertools.product(middles, [1e-3, 0.03, 0.24])]).T
-    params = np.stack([middle, half], axis=1)
+    params = np.array([*itertools.product(middles, [1e-3, 0.03, 0.24])])
     scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=params)
-    events = [
-        fa.event(g, direction) for g in (parabola, cosine, skewed) for direction in (0, -1, 1)
-    ]
-    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (len(middle), 1))
-    found = fa.propagate(
-        scene, q0, [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
-    ).event_times
-    first, second = middle - half, middle + half
+    events = [fa.event(g, direction) for g in shapes for direction in (0, -1, 1)]
+    given = {"dt": 0.5, "n_steps": 20, "method": "rk8", "events": events}
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (len(params), 1))
+    found = fa.propagate(scene, q0, [0.5, 0.0, 1.0], **given).event_times
+    first, second = params[:, 0] - params[:, 1], params.sum(axis=1)
     wanted = np.stack([first, first, second] * 3, axis=1)
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
 
@@ -210,21 +183,11 @@ def test_a_run_backwards():
     assert abs(found - 4.3) < 1e-14
 
 
-def test_saves_in_batches_hold_the_same():
-    events = [fa.event(height, -1), fa.event(first_rate, terminal=True)]
-    given = {**RUN, "method": "rk8", "save_every": 5, "events": events}
-    whole = fa.propagate(BODY, Q0, W0, **given)
-    pieces = []
-    last = fa.propagate(BODY, Q0, W0, **given, on_save=lambda piece: pieces.append(piece.q.copy()))
-    assert np.array_equal(np.concatenate(pieces), whole.q)
-    np.testing.assert_array_equal(last.event_times, whole.event_times)
-
-
-@pytest.mark.parametrize("method", ["rk8", "strang2", "dmv6", "rkmk4"])
+@pytest.mark.parametrize("method", ["rk4", "strang2", "dmv10"])
 def test_a_terminal_event_keeps_the_state(method):
     events = [fa.event(height, -1), fa.event(first_rate, terminal=True)]
     given = {**RUN, "method": method, "save_every": 5}
-    plain = fa.propagate(BODY, Q0, W0, **given)
+    plain = fa.propagate(BODY, Q0, W0, **given, events=[events[0], fa.event(first_rate)])
     run = fa.propagate(BODY, Q0, W0, **given, events=events)
     end = run.event_times[:, 1]
     assert not run.has_flags
@@ -236,8 +199,7 @@ def test_a_terminal_event_keeps_the_state(method):
         assert (run.q[late, body] == run.q[-1, body]).all()
         assert not run.event_times[body, 0] > end[body]
     early = np.isnan(end) | (run.event_times[:, 0] <= end)
-    watched = [events[0], fa.event(first_rate)]
-    free = fa.propagate(BODY, Q0, W0, **given, events=watched).event_times[:, 0]
+    free = plain.event_times[:, 0]
     assert np.array_equal(run.event_times[early, 0], free[early], equal_nan=True)
     assert np.isnan(run.event_times[~early, 0]).all()
 
@@ -257,8 +219,8 @@ def test_the_first_of_some_terminal_events_ends_a_body(sign):
 @pytest.mark.parametrize("method", ["strang2", "rk4"])
 def test_a_terminal_event_ends_as_a_run_of_that_length_does(method):
     """Of a torque that changes with time, of which strang2 takes a part after its last step."""
-    torque = fa.torques.Sampled(RNG.normal(size=(20, 3)), 0.1)
-    scene = fa.Scene(inertia=MOMENTS, torque=torque)
+    table = fa.TimeSeries(0.1 * np.arange(20), RNG.normal(size=(20, 3)), kind="linear")
+    scene = fa.Scene(inertia=MOMENTS, torque=fa.torques.Constant(table))
     end = fa.event(lambda t, q, w, p: t - 0.905, terminal=True)
     given = {"q0": Q0[0], "w0": W0[0], "dt": 0.1, "method": method}
     run = fa.propagate(scene, **given, n_steps=15, events=[end])
@@ -269,15 +231,13 @@ def test_a_terminal_event_ends_as_a_run_of_that_length_does(method):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_terminal_event_keeps_a_prescribed_rate(sign):
-    """Each body's own; with an axis of bodies, and in the saves that are handed out."""
     scene = fa.Scene(rate=lambda t, p: (t, p[0], 0.0), params=[[0.905], [1.31], [9.0]])
     reached = fa.event(lambda t, q, w, p: abs(t) - p[0], terminal=True)
     events = [fa.event(lambda t, q, w, p: abs(t) - 0.2), reached]
     given = {"dt": sign * 0.1, "n_steps": 30, "method": "rk4", "save_every": 1, "events": events}
-    run = fa.propagate(scene, Q0[:3], **given)
+    run, pieces = fa.propagate(scene, Q0[:3], **given), []
     ends = np.array([0.905, 1.31, 9.0])
     np.testing.assert_allclose(run.w[..., 0], sign * np.minimum(sign * run.t[:, None], ends))
-    pieces = []
     fa.propagate(scene, Q0[:3], **given, on_save=lambda piece: pieces.append(piece.w))
     assert np.array_equal(np.concatenate(pieces), run.w)
 
@@ -292,52 +252,6 @@ def test_what_comes_after_a_terminal_event_sets_no_status():
     angle = 2.0 / 3.0 * (1.0 - 0.095**1.5)
     assert abs(2.0 * math.atan2(run.q[0, 1], run.q[0, 0]) - angle) < 1e-8
     assert fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=300, method="rk4").status[0]
-
-
-def test_functions_take_the_parameters_of_the_scene():
-    levels = np.linspace(0.5, 2.5, N)[:, None]
-    scene = fa.Scene(inertia=MOMENTS, torque=still, params=levels)
-    found = fa.propagate(
-        scene, Q0, W0, **RUN, method="rk4", events=[fa.event(lambda t, q, w, p: t - p[0])]
-    )
-    np.testing.assert_allclose(found.event_times, levels, rtol=1e-14)
-
-
-def test_functions_of_velocity_and_position():
-    scene = fa.Scene(inertia=MOMENTS, mass=2.0, force=lambda t, q, w, v, p: (0.0, 0.0, 0.0))
-    run = fa.propagate(
-        scene, Q0[0], W0[0], v0=(1.0, 0.0, 0.0), r0=(0.0, 0.0, 0.0), **RUN, method="rk8",
-        events=[fa.event(lambda t, q, w, v, r, p: r[0] ** 2 + r[1] ** 2 + r[2] ** 2 - 2.0)],
-    )  # fmt: skip
-    assert abs(run.event_times[0] - math.sqrt(2.0)) < 1e-11
-
-
-@pytest.mark.parametrize("moves", [False, True])
-def test_a_scene_with_states(moves):
-    def lagged(t, q, w, s, p):
-        return (-p[0] * s[0], 0.0, 0.0), p[1] * (w[0] - s[0])
-
-    def rate(t, q, w, p):
-        return w[0] - p[0]
-
-    def rate_there(t, q, w, v, r, p):
-        return w[0] - p[0] + (r[0] - t) + (v[0] - 1.0)
-
-    def axis(t, y):
-        return [-0.4 * y[1], 3.0 * (y[0] - y[1])]
-
-    mass = {"mass": 2.0, "force": lambda t, q, w, v, p: (0.0, 0.0, 0.0)} if moves else {}
-    given = {"v0": [1.0, 0.0, 0.0], "r0": [0.0, 0.0, 0.0]} if moves else {}
-    body = fa.Scene(inertia=(1.0, 1.0, 1.0), torque=lagged, states=1, params=(0.4, 3.0), **mass)
-    run = fa.propagate(
-        body, [1, 0, 0, 0], [1.0, 0.0, 0.0], s0=[0.0], dt=0.05, n_steps=100, method="rk8",
-        events=[fa.event(rate_there if moves else rate)], **given,
-    )  # fmt: skip
-    crossing = solve_ivp(
-        axis, (0.0, 5.0), [1.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-13,
-        events=lambda t, y: y[0] - 0.4,
-    )  # fmt: skip
-    assert run.event_times[0] == pytest.approx(crossing.t_events[0][0], abs=1e-9)
 
 
 def test_single_precision_and_compensated_runs(free):
@@ -360,45 +274,26 @@ def test_a_function_that_is_not_traced():
     assert abs(times(counted) - 1.3) < 1e-8
 
 
-def test_a_plan_and_a_reducer_beside_events(free):
-    plan = fa.plan(BODY, N, **RUN, method="rk8", events=EVENTS)
-    np.testing.assert_array_equal(plan(Q0, W0).event_times, free.event_times)
-    count = fa.reducer(lambda t, q, w, s: s[0] + 1.0, start=0.0)
-    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk8", events=EVENTS, reduce=count)
-    np.testing.assert_array_equal(run.event_times, free.event_times)
-    assert (run.reduced == RUN["n_steps"]).all()
-
-
 def test_a_function_that_is_no_number_flags_nothing():
     g = fa.event(lambda t, q, w, p: math.log(w[0]) if t > 0.0 else math.nan)
     run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=[g])
     assert not run.has_flags
 
 
-def push(t, q, w, p):
-    return (0.1 * math.sin(t), 0.0, 0.0)
-
-
-def test_a_function_of_params_that_the_scene_lacks():
-    event = fa.event(lambda t, q, w, p: w[0] - p[0])
-    with pytest.raises(TypeError, match=r"event: .* with p empty, since the scene has no params"):
-        fa.propagate(BODY, Q0, W0, **RUN, events=event)
-
-
 def test_what_is_refused():
-    given = {**RUN, "events": EVENTS}
-    with pytest.raises(ValueError, match=r"method with events: found 'exact'; accepted: .*rk8"):
-        fa.propagate(BODY, Q0, W0, **given, method="exact")
     done = fa.propagate(BODY, Q0, W0, **RUN, method="rk4")
     with pytest.raises(ValueError, match="event_times: the run had no events"):
         _ = done.event_times
-    with pytest.raises(TypeError, match=r"events: found .*; accepted: a list of fastatt.event"):
-        fa.propagate(BODY, Q0, W0, **RUN, events=[height])
+    for events, options, error, message in (
+        (EVENTS, {"method": "exact"}, ValueError, "method with events: found 'exact'; accepted: "),
+        ([height], {}, TypeError, r"events: found .*; accepted: a list of fastatt.event"),
+        ([fa.event(lambda t: t)], {}, TypeError, r"found .*; accepted: event\(t, q, w, p\)"),
+        ([fa.event(lambda t, q, w, v, r, p: t)], {}, ValueError, "no position is carried"),
+        (fa.event(lambda t, q, w, p: w[0] - p[0]), {}, TypeError, "with p empty, since the scene"),
+    ):
+        with pytest.raises(error, match=message):
+            fa.propagate(BODY, Q0, W0, **RUN, events=events, **options)
     with pytest.raises(ValueError, match="direction: found 2; accepted: -1, 0, 1"):
         fa.event(height, 2)
     with pytest.raises(TypeError, match="g: found 3"):
         fa.event(3)
-    with pytest.raises(TypeError, match=r"event: found .*; accepted: event\(t, q, w, p\)"):
-        fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t: t)])
-    with pytest.raises(ValueError, match="no position is carried"):
-        fa.propagate(BODY, Q0, W0, **RUN, events=[fa.event(lambda t, q, w, v, r, p: t)])

@@ -48,17 +48,13 @@ def start(bodies, w=0.1):
 SCENE, START = scene_of(rate(TIMES)), start(TIMES.size)
 
 
-@pytest.mark.parametrize("method", ["rk4", "rk8", "rkmk4"])
+@pytest.mark.parametrize("method", ["rk4", "rkmk4"])
 @pytest.mark.parametrize("dt", [DT, 0.07])
 def test_times_before_at_and_after_breakpoints(method, dt):
-    run = fa.propagate(
-        SCENE, *START, dt=dt, t_end=END, method=method, events=[fa.event(reaches, 1)]
-    )
-    np.testing.assert_allclose(run.event_times[:, 0], TIMES, rtol=0.0, atol=1e-9)
-    falls = fa.propagate(
-        SCENE, *START, dt=dt, t_end=END, method=method, events=[fa.event(reaches, -1)]
-    )
-    assert np.isnan(falls.event_times).all()
+    for direction, wanted in ((1, TIMES), (-1, np.full(TIMES.size, np.nan))):
+        events = [fa.event(reaches, direction)]
+        run = fa.propagate(SCENE, *START, dt=dt, t_end=END, method=method, events=events)
+        np.testing.assert_allclose(run.event_times[:, 0], wanted, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("half", [1e-4, 0.005])
@@ -74,35 +70,6 @@ def test_two_crossings_in_a_part_of_a_step(half):
     found = fa.propagate(scene, *start(middles.size), **given, events=events).event_times
     wanted = np.stack([middles - half, middles - half, middles + half], axis=1)
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9)
-
-
-def test_the_run_is_the_same_to_the_bit():
-    given = {"dt": 0.07, "t_end": END, "method": "rk8", "save_every": 3}
-    events = [fa.event(reaches)]
-    plain = fa.propagate(SCENE, *START, **given)
-    run = fa.propagate(SCENE, *START, **given, events=events)
-    np.testing.assert_array_equal(run.q, plain.q)
-    np.testing.assert_array_equal(run.w, plain.w)
-    batches = []
-    last = fa.propagate(
-        SCENE, *START, **given, events=events, on_save=lambda run: batches.append(run.w.copy())
-    )
-    np.testing.assert_array_equal(np.concatenate(batches), plain.w)
-    np.testing.assert_array_equal(last.event_times, run.event_times)
-
-
-def test_a_terminal_event_keeps_the_state():
-    run = fa.propagate(
-        SCENE, *START, dt=DT, t_end=END, save_every=1, method="rk8",
-        events=[fa.event(reaches, terminal=True)],
-    )  # fmt: skip
-    assert not run.has_flags
-    np.testing.assert_allclose(run.w[-1, :, 2], rate(TIMES), rtol=0.0, atol=1e-12)
-    for body, time in enumerate(TIMES):
-        late = run.t > time + 1e-6
-        assert (run.q[late, body] == run.q[-1, body]).all()
-        early = run.t < time
-        np.testing.assert_allclose(run.w[early, body, 2], rate(run.t[early]), atol=1e-13)
 
 
 def held_by(t, q, w, p):

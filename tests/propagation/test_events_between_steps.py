@@ -60,7 +60,7 @@ def assert_stopped(found, k):
     assert np.abs(found.w[is_late, k, 0] - 0.1).max(initial=0.0) < 1e-12
 
 
-@pytest.mark.parametrize("method", ["rk8", "dmv6"])
+@pytest.mark.parametrize("method", ["rk8", "dmv10"])
 @pytest.mark.parametrize("name", ["free", "stops"])
 def test_save_at_has_the_bits_of_whole_steps(reference, name, method):
     events = STOPS if name == "stops" else FREE
@@ -78,19 +78,11 @@ def test_save_at_has_the_bits_of_whole_steps(reference, name, method):
 
 @pytest.mark.parametrize("name", ["free", "stops"])
 def test_per_body_step_sizes(reference, name):
-    events = STOPS if name == "stops" else FREE
-    found = run(events, dt=SIZES, save_at=TIMES)
+    found = run(STOPS if name == "stops" else FREE, dt=SIZES, save_at=TIMES)
     np.testing.assert_allclose(found.event_times, reference[name].event_times, rtol=0.0, atol=1e-11)
     assert np.isfinite(found.event_times).any(axis=0).all()
     for k in range(N) if name == "stops" else ():
         assert_stopped(found, k)
-    for k in (0, 33, 69):
-        alone = fa.propagate(
-            BODY, Q0[k], W0[k], dt=[SIZES[k]], t_end=END, method="rk8", events=events,
-            save_at=TIMES,
-        )  # fmt: skip
-        np.testing.assert_array_equal(alone.event_times, found.event_times[k])
-        np.testing.assert_array_equal(alone.q, found.q[:, k])
 
 
 def test_per_body_steps_of_a_run_backwards(reference):
@@ -169,33 +161,13 @@ def test_beside_breakpoints(stops):
 
 
 @pytest.mark.parametrize("events", [FREE, STOPS], ids=["free", "stops"])
-def test_a_resumed_run_goes_on_with_its_events(events, tmp_path):
-    given = {"dt": 0.02, "method": "rk8", "events": events, "save_every": 10}
-    whole = fa.propagate(BODY, Q0, W0, n_steps=500, **given)
-    first = fa.propagate(BODY, Q0, W0, n_steps=130, **given)
-    first.save_end(tmp_path / "end")
-    for resume in (first, tmp_path / "end"):
-        rest = fa.propagate(BODY, resume=resume, n_steps=370, **given)
-        np.testing.assert_array_equal(rest.event_times, whole.event_times)
-        np.testing.assert_array_equal(rest.q, whole.q[13:])
-        np.testing.assert_array_equal(rest.status, whole.status)
-    # others are searched from there on, unless a body has stopped
-    given["events"] = [fa.event(lambda t, q, w, p: t - 1.0), fa.event(lambda t, q, w, p: t - 5.0)]
+def test_a_resumed_run_takes_other_events(events):
+    """They are searched from there on, unless a body has stopped."""
+    first = fa.propagate(BODY, Q0, W0, n_steps=130, dt=0.02, method="rk8", events=events)
+    others = [fa.event(lambda t, q, w, p, k=k: t - k) for k in (1.0, 5.0)]
     if events is STOPS:
         with pytest.raises(ValueError, match=r"events: found others .*since bodies stop"):
-            fa.propagate(BODY, resume=first, n_steps=370, **given)
+            fa.resume(BODY, first, n_steps=370, events=others)
     else:
-        other = fa.propagate(BODY, resume=first, n_steps=370, **given).event_times
+        other = fa.resume(BODY, first, n_steps=370, events=others).event_times
         np.testing.assert_allclose(other, [[np.nan, 5.0]] * N, rtol=0.0, atol=1e-14)
-
-
-def test_a_checkpoint_needs_the_same_events(tmp_path):
-    path = tmp_path / "job"
-    given = {"dt": 0.02, "n_steps": 100, "method": "rk4", "resume": fa.checkpoint(path)}
-    done = fa.propagate(BODY, Q0, W0, events=FREE, **given)
-    again = fa.propagate(BODY, Q0, W0, events=FREE, **given)
-    np.testing.assert_array_equal(again.event_times, done.event_times)
-    assert np.isfinite(done.event_times).any()
-    for events in (FREE[:1], [*FREE[:3], fa.event(touch, 1)], []):
-        with pytest.raises(ValueError, match=r"events: found others .*the run is not over"):
-            fa.propagate(BODY, Q0, W0, events=events, **given)

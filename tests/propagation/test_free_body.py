@@ -16,8 +16,8 @@ from each import each
 from gmpy2 import mpz
 
 import fastatt as fa
+from fastatt import closed_form
 from fastatt.kernels import free_body
-from fastatt.propagation import closed_form
 
 ONE = (1.0, 0.0, 0.0, 0.0)
 
@@ -83,7 +83,7 @@ def motion(q0, w0, inertia, times, step=0.4):
     return found
 
 
-def errors(w0, inertia, times, q0=ONE, step=0.4):
+def errors(w0, inertia, times, step=0.4, q0=ONE):
     """Largest errors over the times of the angle, in rad, and of w and m, over 1 + |w| t."""
     w0, inertia = [float(c) for c in w0], [float(c) for c in inertia]
     w_size, m_size = math.hypot(*w0), math.hypot(*map(operator.mul, w0, inertia))
@@ -125,38 +125,56 @@ def near_separatrix(rng, distance):
 # against the series
 
 
-@pytest.mark.parametrize("inertia", list(itertools.permutations((0.5, 0.8, 1.1))))
-def test_orders_of_axes_and_signs(inertia):
-    rng = np.random.default_rng(sum(k * int(10 * c) for k, c in enumerate(inertia)))
-    for signs in itertools.product((1, -1), repeat=3):
-        w = signs * rng.uniform(0.2, 1.0, 3)
-        assert (errors(w, inertia, (3.0, -5.0)) <= BOUND).all()
-
-
-def test_random_bodies():
+def against_the_series():
+    """(rate, moments, times, step, attitude)."""
+    for inertia in itertools.permutations((0.5, 0.8, 1.1)):  # orders of axes, and signs
+        rng = np.random.default_rng(sum(k * int(10 * c) for k, c in enumerate(inertia)))
+        for signs in itertools.product((1, -1), repeat=3):
+            yield signs * rng.uniform(0.2, 1.0, 3), inertia, (3.0, -5.0)
     rng = np.random.default_rng(1)
     for _ in range(8):
         q0 = tuple(oracle.quaternions(1, int(rng.integers(100)))[0])
-        found = errors(rng.normal(size=3), triaxial(rng), (1.0, -7.0, 20.0), q0)
-        assert (found <= BOUND).all()
+        yield rng.normal(size=3), triaxial(rng), (1.0, -7.0, 20.0), 0.4, q0
+    for axis, tilt in itertools.product(range(3), (0.0, 1e-14, 1e-8, 1e-3)):
+        w = np.full(3, tilt) * (1.0, -0.7, 0.4)
+        w[axis] = -1.3
+        yield w, (0.7, 0.9, 0.4), (2.0, -40.0)
+    some = ((0.3, -0.8, 0.5), (1.0, 0.2, 0.0), (1e-9, 0.9, 1e-7))
+    for inertia, (shift, w) in itertools.product(DEGENERATE.values(), enumerate(some)):
+        yield w, np.roll(inertia, shift), (3.0, -11.0)
+    for rod in ((1.0, 1e3, 1e3), (1e3 + 0.5, 1.0, 1e3)):
+        for w in ((1.0, 1e-3, -2e-3), (0.3, 0.2, 0.4)):
+            yield np.array(w)[[1, 0, 2]] if rod[1] == 1.0 else w, rod, (1.0, -3.0), 0.1
+    for rate, unit in itertools.product((1e-6, 1e6), (1e-12, 1e12)):
+        w, inertia = np.array((0.5, -0.3, 0.9)), np.array((0.8, 0.5, 0.6))
+        yield rate * w, unit * inertia, (5.0 / rate,)
+    yield (0.5, -0.3, 0.9), (0.8, 0.5, 0.6), (150.0,)
 
 
-@pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-13])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_near_the_separatrix(distance, side):
-    rng = np.random.default_rng(int(-10 * math.log10(distance)) + (side > 0.0))
-    w, inertia = near_separatrix(rng, side * distance)
-    constants = free_body.setup_rate(ONE, tuple(w.tolist()), tuple(inertia.tolist()))
-    assert constants[-1] == 1.0 or distance == 1e-2  # near k = 1, where the series is hyperbolic
-    assert (errors(w, inertia, (1.0, 20.0, 90.0)) <= BOUND).all()
+def test_against_the_series():
+    far = [case for case in against_the_series() if not (errors(*case) <= BOUND).all()]
+    assert far == []
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("tilt", [0.0, 1e-14, 1e-8, 1e-3])
-def test_about_one_axis(axis, tilt):
-    w = np.full(3, tilt) * (1.0, -0.7, 0.4)
-    w[axis] = -1.3
-    assert (errors(w, (0.7, 0.9, 0.4), (2.0, -40.0)) <= BOUND).all()
+def test_near_the_separatrix():
+    for distance, side in itertools.product(10.0 ** -np.array([2, 4, 6, 8, 10, 12, 13]), (1, -1)):
+        rng = np.random.default_rng(int(-10 * math.log10(distance)) + (side > 0.0))
+        w, inertia = near_separatrix(rng, side * distance)
+        constants = free_body.setup_rate(ONE, tuple(w.tolist()), tuple(inertia.tolist()))
+        # near k = 1, where the series is hyperbolic
+        assert constants[-1] == 1.0 or distance == 1e-2
+        assert (errors(w, inertia, (1.0, 20.0, 90.0)) <= BOUND).all()
+
+
+@pytest.mark.parametrize("rate", [2.0**-20, 2.0**20])
+@pytest.mark.parametrize("unit", [2.0**-40, 2.0**40])
+def test_nothing_depends_on_units(rate, unit):
+    """To the last bit, where they are powers of two."""
+    w, inertia = np.array((0.5, -0.3, 0.9)), np.array((0.8, 0.5, 0.6))
+    q, turned = closed_form.free_body(ONE, w, inertia, 5.0)
+    scaled = closed_form.free_body(ONE, rate * w, unit * inertia, 5.0 / rate)
+    assert np.array_equal(scaled[0], q)
+    assert np.array_equal(scaled[1], rate * turned)
 
 
 DEGENERATE = {
@@ -172,13 +190,6 @@ DEGENERATE = {
 }
 
 
-@pytest.mark.parametrize("inertia", DEGENERATE.values(), ids=DEGENERATE)
-@pytest.mark.parametrize("shift", [0, 1, 2])
-def test_degenerate_bodies(inertia, shift):
-    w = np.array([(0.3, -0.8, 0.5), (1.0, 0.2, 0.0), (1e-9, 0.9, 1e-7)][shift])
-    assert (errors(w, np.roll(inertia, shift), (3.0, -11.0)) <= BOUND).all()
-
-
 def test_degenerate_bodies_in_single_precision():
     """Within 1e9 times the bound of double precision, of moments that single precision holds."""
     moments = [np.roll(x, k) for x in DEGENERATE.values() for k in range(3)]
@@ -191,26 +202,6 @@ def test_degenerate_bodies_in_single_precision():
     bound = 1e-6 * (1.0 + size * t[:, None])
     assert (fa.angle_between(q, known) <= bound).all()
     assert (np.linalg.norm(w - rates, axis=-1) <= bound * size).all()
-
-
-@pytest.mark.parametrize("inertia", [(1.0, 1e3, 1e3), (1e3 + 0.5, 1.0, 1e3)])
-@pytest.mark.parametrize("w", [(1.0, 1e-3, -2e-3), (0.3, 0.2, 0.4)])
-def test_rods(inertia, w):
-    w = np.array(w)[[1, 0, 2]] if inertia[1] == 1.0 else w
-    assert (errors(w, inertia, (1.0, -3.0), step=0.1) <= BOUND).all()
-
-
-@pytest.mark.parametrize("rate", [1e-6, 1e6])
-@pytest.mark.parametrize("unit", [1e-12, 1e12])
-def test_units(rate, unit):
-    """Nothing depends on them, to the last bit where they are powers of two."""
-    w, inertia = np.array((0.5, -0.3, 0.9)), np.array((0.8, 0.5, 0.6))
-    assert (errors(rate * w, unit * inertia, (5.0 / rate,)) <= BOUND).all()
-    rate, unit = 2.0 ** round(math.log2(rate)), 2.0 ** round(math.log2(unit))
-    q, turned = closed_form.free_body(ONE, w, inertia, 5.0)
-    scaled = closed_form.free_body(ONE, rate * w, unit * inertia, 5.0 / rate)
-    assert np.array_equal(scaled[0], q)
-    assert np.array_equal(scaled[1], rate * turned)
 
 
 @pytest.mark.parametrize(("dtype", "size"), [("float64", 2.0**-1000), ("float32", 2.0**-120)])
@@ -237,10 +228,6 @@ def test_subnormal_rates(dtype, least, longest, inertia):
         truth = fa.propagate(scene, ONE, rate, dt=time, **given)
         assert run.status[0] == 0
         assert fa.angle_between(run.q[-1].astype(float), truth.q[-1]) < 4 * np.finfo(dtype).eps
-
-
-def test_long_times():
-    assert (errors((0.5, -0.3, 0.9), (0.8, 0.5, 0.6), (150.0,)) <= BOUND).all()
 
 
 def test_momentum_in_space_over_a_thousand_turns():
@@ -318,14 +305,15 @@ def test_on_the_separatrix(inertia):
 
 
 @pytest.mark.parametrize("inertia", [(1.0, 1.5, 3.0), (1.5, 1.0, 3.0), (3.0, 1.0, 1.5)])
-def test_intermediate_axis_is_an_equilibrium(inertia):
+@pytest.mark.parametrize("rate", [-2.0, 0.0])
+def test_intermediate_axis_is_an_equilibrium(inertia, rate):
     axis = inertia.index(1.5)
     w0 = np.zeros(3)
-    w0[axis] = -2.0
+    w0[axis] = rate
     t = np.array((1.0, -1e3, 1e5))
     q, w = closed_form.free_body(ONE, w0, inertia, t)
     true = np.zeros((3, 4))
-    true[:, 0], true[:, axis + 1] = np.cos(t), -np.sin(t)
+    true[:, 0], true[:, axis + 1] = np.cos(0.5 * rate * t), np.sin(0.5 * rate * t)
     assert (np.abs(q - true).max(axis=1) <= 4e-16 * (1.0 + np.abs(t))).all()
     assert np.abs(w - w0).max() <= 1e-15
 
@@ -371,9 +359,9 @@ def ensemble(n, seed=5):
 
 
 @each("n", [1, 4, 64, 130])
-@each("instants", [1, 2, 7, 200])
+@each("instants", [1, 7, 200])
 def test_a_body_alone_and_among_others(n, instants):
-    """The same bits, whatever its place in the tiles and whatever the other times."""
+    """The same bits, whatever its place in the tiles, the other times and the threads."""
     q0, w0, inertia = ensemble(n)
     t = np.linspace(-3.0, 5.0, instants)
     q, w = closed_form.free_body(q0, w0, inertia, t)
@@ -382,14 +370,7 @@ def test_a_body_alone_and_among_others(n, instants):
         alone = closed_form.free_body(q0[b], w0[b], inertia[b], t[k])
         assert np.array_equal(alone[0], q[k, b])
         assert np.array_equal(alone[1], w[k, b])
-
-
-def test_threads_change_nothing():
-    q0, w0, inertia = ensemble(300)
-    t = np.linspace(0.0, 10.0, 100)
-    one, three = (closed_form.free_body(q0, w0, inertia, t, n_threads=k) for k in (1, 3))
-    assert np.array_equal(one[0], three[0])
-    assert np.array_equal(one[1], three[1])
+    assert np.array_equal(closed_form.free_body(q0, w0, inertia, t, n_threads=3)[0], q)
 
 
 def test_shapes():
@@ -475,6 +456,7 @@ BAD = {
     "inertia": (2, (1, -1, 1), "inertia is .* not above 0"),
     "t shape": (3, [[1.0]], r"t: has shape \(1, 1\); accepted: a number or \(T,\)"),
     "t inf": (3, [0.0, math.inf], r"t\[1\] is inf"),
+    "t text": (3, "now", "t: found 'now'; accepted: real numbers"),
 }
 
 
@@ -483,36 +465,20 @@ BAD = {
 def test_refusals(solution, place, value, message):
     arguments = [*GOOD[:2], (2.0, 1.5, 1.5), GOOD[3]]
     arguments[place] = value
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         solution(*arguments)
 
 
-def test_one_row_is_for_all_bodies():
-    q0, w0, moments = np.eye(4)[:1], np.eye(3), np.array([[2.0, 1.5, 1.0]])
-    for found, known in zip(
-        closed_form.free_body(q0, w0, moments, [1.0]),
-        closed_form.free_body(q0[0], w0, moments[0], [1.0]),
-        strict=True,
+def test_refusals_of_numbers_of_bodies_and_of_kinds():
+    two, top, free = np.eye(4)[:2], closed_form.symmetric_top, closed_form.free_body
+    bodies, negative = [(1.0, 1.0, 1.5), (1.0, 1.2, 1.5)], (*GOOD[:2], (2.0, -1.0, 1.5), 1.0)
+    for solution, given, options, message in (
+        (free, (two, np.ones((3, 3)), GOOD[2], 1.0), {}, "w0: has 3 rows; accepted: one, or 2 as"),
+        (free, (two, GOOD[1], np.ones((4, 3)), 1.0), {}, "inertia: has 4 rows; accepted: one, or"),
+        (free, GOOD, {"n_threads": 0}, r"n_threads: found 0; accepted: .* at least 1"),
+        (free, negative, {"allow_unphysical": True}, "found the principal moment -1; accepted by"),
+        (top, GOOD, {}, r"inertia is \(2, 1, 1.5\): no two moments are equal"),
+        (top, (two, GOOD[1], bodies, 1.0), {}, r"inertia\[1\] is \(1, 1.2, 1.5\): no two"),
     ):
-        assert np.array_equal(found, known)
-
-
-def test_refusals_of_numbers_of_bodies():
-    with pytest.raises(ValueError, match="w0: has 3 rows; accepted: one, or 2 as of q0"):
-        closed_form.free_body(np.eye(4)[:2], np.ones((3, 3)), GOOD[2], 1.0)
-    with pytest.raises(ValueError, match="inertia: has 4 rows; accepted: one, or 2 as of q0"):
-        closed_form.free_body(np.eye(4)[:2], GOOD[1], np.ones((4, 3)), 1.0)
-    with pytest.raises(TypeError, match="t: found 'now'; accepted: real numbers"):
-        closed_form.free_body(*GOOD[:3], "now")
-    with pytest.raises(ValueError, match=r"n_threads: found 0; accepted: .* at least 1"):
-        closed_form.free_body(*GOOD, n_threads=0)
-    with pytest.raises(ValueError, match="inertia: found the principal moment -1; accepted by the"):
-        closed_form.free_body(*GOOD[:2], (2.0, -1.0, 1.5), 1.0, allow_unphysical=True)
-
-
-def test_symmetric_top_refuses_other_bodies():
-    with pytest.raises(ValueError, match=r"inertia is \(2, 1, 1.5\): no two moments are equal"):
-        closed_form.symmetric_top(*GOOD)
-    bodies = [(1.0, 1.0, 1.5), (1.0, 1.2, 1.5)]
-    with pytest.raises(ValueError, match=r"inertia\[1\] is \(1, 1.2, 1.5\): no two"):
-        closed_form.symmetric_top(np.eye(4)[:2], GOOD[1], bodies, 1.0)
+        with pytest.raises(ValueError, match=message):
+            solution(*given, **options)

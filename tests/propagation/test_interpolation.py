@@ -1,6 +1,9 @@
-"""Attitudes and rates between saves, beside closed forms."""
+"""Attitudes, rates and what a run carries between saves, beside closed forms."""
 
 from __future__ import annotations
+
+import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,10 +82,11 @@ def test_shapes_and_precision():
 
 
 def test_turns_past_half_a_turn_are_refused_or_left_out():
+    """3.2 rad between saves 2 s apart: π rad take 1.96 s."""
     t = np.linspace(0.0, 8.0, 5)
-    bodies = [*BODIES[2:], (0.0, 1.6, 0.0, 0.0)]  # 3.2 rad from save to save
-    q, w = motion(t, bodies)
-    with pytest.raises(ValueError, match=r"between saves 0 and 1 body 1 rotates by 3.2 rad"):
+    q, w = motion(t, [*BODIES[2:], (0.0, 1.6, 0.0, 0.0)])
+    told = r"between saves 0 and 1 body 1 rotates by 3.2 rad.*\(1 of 2 bodies\); .* 1\.96 s apart"
+    with pytest.raises(ValueError, match=told):
         fa.interpolate(t, q, w, 1.0)
     found = fa.interpolate(t, q, w, [1.0, 5.0], invalid="flag")
     alone = fa.interpolate(t, q[:, :1], w[:, :1], [1.0, 5.0])
@@ -124,14 +128,6 @@ def test_motion_that_saves_do_not_show_is_noticed_among_many_times():
             fa.interpolate(t, still, w, order)
 
 
-def test_what_is_refused_says_how_near_saves_have_to_be():
-    """3.2 rad between saves 2 s apart: π rad take 1.96 s."""
-    t = np.linspace(0.0, 8.0, 5)
-    q, w = motion(t, [*BODIES[2:], (0.0, 1.6, 0.0, 0.0)])
-    with pytest.raises(ValueError, match=r"\(1 of 2 bodies\); .* saves 1\.96 s apart"):
-        fa.interpolate(t, q, w, 1.0)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -150,13 +146,26 @@ def test_refusals(change, message):
         fa.interpolate(**given)
 
 
-# other numbers of a run
+# a run
 
 
 def waves(t):
     """Numbers (S, 2, 3)."""
     t = np.asarray(t, float)
     return np.stack([np.sin((1.0 + k) * t + k) for k in range(6)], axis=-1).reshape(*t.shape, 2, 3)
+
+
+def rest(t, **carried):
+    """A run of two bodies at rest with saves at t and other numbers."""
+    scene = fa.Scene(inertia=(1.0, 2.0, 2.5))
+    run = fa.propagate(scene, [START, START], np.zeros(3), dt=1.0, n_steps=1, method="rk4")
+    still = {"w": np.zeros((len(t), 2, 3)), **carried}
+    state, errors = np.repeat(run.state, len(t), axis=0), np.zeros((len(t), 2))
+    return replace(run, t=np.asarray(t), state=state, norm_error=errors, carried=still, end=None)
+
+
+def states(t, s, times):
+    return fa.interpolate(rest(t, s=s), times).s
 
 
 @pytest.mark.parametrize("saves", [4, 8, 12])
@@ -166,15 +175,15 @@ def test_orders_of_states(saves):
     for h in (0.05, 0.025):
         t = np.linspace(0.0, -h * (saves - 1), saves)
         times = np.linspace(t[0], t[-1], 97)
-        found.append(np.abs(fa.interpolate_states(t, waves(t), times) - waves(times)).max())
+        found.append(np.abs(states(t, waves(t), times) - waves(times)).max())
     assert np.log2(found[0] / found[1]) == pytest.approx(min(saves, 8), abs=0.4)
 
 
-def test_states_at_saves_and_of_one_body():
+def test_states_at_saves_and_in_single_precision():
     t = np.cumsum(np.random.default_rng(3).uniform(0.05, 0.2, 30))
-    assert (fa.interpolate_states(t, waves(t), t) == waves(t)).all()
-    single = fa.interpolate_states(t, waves(t)[:, 1].astype(np.float32), float(t[4]))
-    assert single.shape == (3,)
+    assert (states(t, waves(t), t) == waves(t)).all()
+    single = states(t, waves(t).astype(np.float32), float(t[4]))
+    assert single.shape == (1, 2, 3)
     assert single.dtype == np.float32
 
 
@@ -183,26 +192,136 @@ def test_bad_states_stay_in_their_column():
     spoilt = waves(t)
     spoilt[20, 1, 0] = np.nan
     times = np.array([0.75, 2.03])
-    got, whole = (fa.interpolate_states(t, x, times) for x in (spoilt, waves(t)))
-    assert np.isnan(got[1, 1, 0])
-    assert np.isnan(got).sum() == 1
-    assert (got[~np.isnan(got)] == whole[~np.isnan(got)]).all()
+    found, whole = (states(t, x, times) for x in (spoilt, waves(t)))
+    assert np.isnan(found[1, 1, 0])
+    assert np.isnan(found).sum() == 1
+    assert (found[~np.isnan(found)] == whole[~np.isnan(found)]).all()
 
 
 def test_states_that_change_too_fast_warn():
     t = np.linspace(0.0, 30.0, 31)
-    with pytest.warns(fa.StepWarning, match="1 of 2 columns"):
-        fa.interpolate_states(t, np.stack([np.sin(2.9 * t), 3.0 + 0.0 * t], axis=1), t[:-1] + 0.5)
+    fast = np.stack([np.sin(2.9 * t), 3.0 + 0.0 * t], axis=1)[:, :, None]
+    with pytest.warns(fa.StepWarning, match="1 of 2 columns of s, up to"):
+        states(t, fast, t[:-1] + 0.5)
 
 
-@pytest.mark.parametrize(
-    ("t", "s", "times", "message"),
-    [
-        ([0.0, 0.0], np.zeros((2, 1)), 0.0, "rising or falling"),
-        ([0.0, 1.0], np.zeros((3, 1)), 0.0, "s: has shape"),
-        ([0.0, 1.0], np.zeros((2, 1)), [0.5, 1.5], r"times\[1\] is 1.5; accepted: 0.0 to 1.0"),
-    ],
-)
-def test_refused_states(t, s, times, message):
-    with pytest.raises(ValueError, match=message):
-        fa.interpolate_states(t, s, times)
+@pytest.mark.parametrize("representation", ["quat", "dcm"])
+@pytest.mark.parametrize("bodies", [1, 3])
+def test_a_run_is_interpolated_as_its_arrays(representation, bodies):
+    scene, times = fa.Scene(inertia=(1.0, 2.0, 2.5)), [1.93, 0.24, 1.0]
+    given = {"dt": 0.1, "n_steps": 20, "save_every": 1, "representation": representation}
+    q0 = [START] * bodies if bodies > 1 else START
+    run = fa.propagate(scene, q0, [0.3, -0.2, 0.5], **given, method="rk8")
+    between, (q, w) = fa.interpolate(run, times), fa.interpolate(run.t, run.q, run.w, times)
+    assert np.array_equal(between.q, q)
+    assert np.array_equal(between.w, w)
+    assert between.t.tolist() == times
+    assert between.norm_error.tolist() == run.norm_error[[19, 2, 10]].tolist()
+    assert (between.representation, between.method) == ("quat", "rk8")
+    assert np.abs(between.dcm - fa.quat_to_dcm(q)).max() < 4 * EPS
+    assert fa.drift(between, scene).energy.max() < 1e-9
+    assert fa.interpolate(run, times=0.24).q.shape == (1, *q.shape[1:])
+
+
+def test_velocities_positions_and_states_of_a_run():
+    def driven(t, q, w, s, p):
+        return (0.1 * s[1], 0.0, 0.0), (s[1], -s[0])
+
+    scene = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=driven, states=2, mass=2.0, force=(0.1, 0, 0))
+    start = {"q0": START, "w0": (0.3, -0.2, 0.5), "v0": (1, 0, 0), "r0": (0, 0, 0), "s0": (0, 1)}
+    given = {**start, "dt": 0.1, "n_steps": 20, "method": "rk8"}
+    times = [0.5, 1.37, 2.0]
+    between = fa.interpolate(fa.propagate(scene, **given, save_every=1), times)
+    known = fa.propagate(scene, **given, save_at=times)
+    assert angle(between.q, known.q).max() < 1e-9
+    for name in ("w", "v", "r", "s"):
+        assert np.abs(getattr(between, name) - getattr(known, name)).max() < 1e-7, name
+
+
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+def test_a_prescribed_rate_is_evaluated(frame):
+    """Where it can be: a run that was pickled has its numbers alone."""
+    scene = fa.Scene(rate=fa.rates.Coning([0.5, 0.8], 1.0), frame=frame)
+    run = fa.propagate(scene, [START, START], dt=0.1, n_steps=20, save_every=2, method="magnus6")
+    between, copied = (fa.interpolate(x, 0.53) for x in (run, pickle.loads(pickle.dumps(run))))
+    known = fa.propagate(scene, [START, START], dt=0.1, t_end=0.53, method="magnus6")
+    assert np.abs(between.w - known.w).max() < (4 * EPS if frame == "body" else 1e-9)
+    assert np.abs(copied.w - known.w).max() < 1e-7
+    assert angle(copied.q, known.q).max() < 1e-9
+
+
+def test_bodies_that_an_event_stopped_are_refused_or_left_out():
+    """Their attitude stands still, their angular velocity does not."""
+    end = fa.event(lambda t, q, w, p: w[0] * t - 0.1, terminal=True)
+    scene = fa.Scene(inertia=(1.0, 1.0, 1.0))
+    w0 = np.array([[0.01, 0.2, 0.3], [0.1, 0.2, 0.3], [0.0, 0.2, 0.3]])
+    given = {"dt": 0.1, "n_steps": 20, "save_every": 1, "method": "rk4"}
+    run = fa.propagate(scene, [START] * 3, w0, **given, events=end)
+    with pytest.raises(ValueError, match=r"run: body 1 was stopped .*\(1 of 3 bodies\); accepted"):
+        fa.interpolate(run, 1.5)
+    found = fa.interpolate(run, 1.5, invalid="flag")
+    whole = fa.interpolate(fa.propagate(scene, [START] * 3, w0, **given), 1.5)
+    for x, y in ((found.q, whole.q), (found.w, whole.w)):
+        assert np.isnan(x[:, 1]).all()
+        assert np.array_equal(x[:, [0, 2]], y[:, [0, 2]])
+
+
+def test_what_a_run_is_not_interpolated_with():
+    run = rest([0.0, 1.0, 2.0])
+    with pytest.raises(TypeError, match=r"q, w: found with a run; accepted: interpolate\(run, t"):
+        fa.interpolate(run, run.q, run.w, 0.5)
+    with pytest.raises(TypeError, match="times: found None"):
+        fa.interpolate(run)
+    with pytest.raises(ValueError, match=r"times\[1\] is 2.5; accepted: 0.0 to 2.0"):
+        fa.interpolate(run, [0.5, 2.5])
+    with pytest.raises(ValueError, match=r"t: found .*; accepted: two or more"):
+        fa.interpolate(rest([0.0]), 0.0)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("near", [3e-5, 4e-8, 1e-11])
+def test_saves_that_nearly_coincide_cost_no_accuracy(near, backwards):
+    """Beside the second, a middle and the last save: as without, also of attitudes with noise."""
+    body, q0, w0 = (2.0, 1.0, 1.5), [0.5, 0.5, -0.5, 0.5], [0.4, -0.3, 0.6]
+    times = np.linspace(0.0, 4.0, 997)
+    rng = np.random.default_rng(6)
+    errors = []
+    for extra in ([], [0.4 - near, 2.0 + near, 2.0 + 3.0 * near, 4.0 - near]):
+        t = np.sort(np.append(np.arange(11) * 0.4, extra))
+        q, w = fa.closed_form.free_body(q0, w0, body, t)
+        true, rate = fa.closed_form.free_body(q0, w0, body, times)
+        noise = fa.rotation_vector_to_quat(rng.normal(0.0, 1e-5, (t.size, 3)))
+        if backwards:
+            t, q, w = t[::-1], q[::-1], w[::-1]
+        found, rates = fa.interpolate(t, q, w, times)
+        noisy, _ = fa.interpolate(t, fa.quat_multiply(q, noise), w, times)
+        errors.append(
+            [angle(found, true).max(), np.abs(rates - rate).max(), angle(noisy, true).max()]
+        )
+        assert angle(fa.interpolate(t, q, w, t)[0], q).max() < 8 * EPS
+    assert (np.array(errors[1]) < np.array(errors[0]) * [1.1, 1.1, 2.0]).all()
+
+
+@pytest.mark.parametrize("near", [1e-6, 1e-9])
+def test_velocities_beside_saves_that_nearly_coincide(near):
+    scene = fa.Scene(
+        inertia=(2.0, 1.0, 1.5), mass=2.0, force=fa.forces.ConstantInertial((0.0, 0.0, -3.0))
+    )
+    start = {"v0": (1.0, 2.0, 3.0), "dt": 0.01, "t_end": 4.0, "method": "rk8"}
+    errors = []
+    for extra in ([], [0.4 - near, 2.0 + near, 4.0 - near]):
+        saves = np.sort(np.append(np.arange(11) * 0.4, extra))
+        run = fa.propagate(scene, [1, 0, 0, 0], [0.3, -0.2, 0.1], save_at=saves, **start)
+        true = fa.propagate(scene, [1, 0, 0, 0], [0.3, -0.2, 0.1], save_every=1, **start)
+        errors.append(np.abs(fa.interpolate(run, true.t[:-1]).v - true.v[:-1]).max())
+    assert errors[1] < 1.1 * errors[0]
+
+
+@pytest.mark.parametrize(("dt", "n"), [(0.3, 3), (0.1, 7), (1.1, 3), (-0.3, 3)])
+def test_times_within_rounding_of_the_ends_are_accepted(dt, n):
+    scene = fa.Scene(inertia=(2.0, 1.0, 1.5))
+    run = fa.propagate(scene, [1, 0, 0, 0], [0.3, -0.2, 0.1], dt=dt, n_steps=n, save_every=1)
+    for end in (np.nextafter(run.t[-1], np.inf), np.nextafter(run.t[-1], -np.inf)):
+        assert angle(fa.interpolate(run, end).q[0], run.q[-1]) < 8 * EPS
+    with pytest.raises(ValueError, match="the saves' span"):
+        fa.interpolate(run, run.t[-1] * (1.0 + 1e-14))

@@ -7,7 +7,7 @@ import pytest
 
 import fastatt as fa
 from fastatt.codegen import lanes
-from fastatt.engine import run as engine_run
+from fastatt.engine import program as programs
 
 Q0, W0 = np.random.default_rng(2).normal(size=(2, 70, 4))  # more than a tile
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -44,24 +44,6 @@ def test_one_bar_for_all_pieces(bars, method):
     assert found == pytest.approx([*(0.5 * np.arange(34)), 16.65])
 
 
-def test_each_step_is_taken_once(monkeypatch):
-    taken, part = {}, engine_run.Run.part
-
-    def noted(run, span, *tiles):
-        taken.setdefault(tiles, []).append((span.first, span.last))
-        return part(run, span, *tiles)
-
-    monkeypatch.setattr(engine_run.Run, "part", noted)
-    fa.propagate(
-        FREE, Q0, W0[:, 1:], dt=0.05, n_steps=333, save_every=10, method="rk4",
-        on_save=lambda piece: None,
-    )  # fmt: skip
-    for spans in taken.values():
-        begins, ends = zip(*spans, strict=True)
-        assert begins == (0, *ends[:-1])
-        assert ends[-1] == 333
-
-
 def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     """The wait is over, or said to be one, before there is anything to count."""
     opened_at_compilation = []
@@ -72,7 +54,7 @@ def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
 
     made = lanes.generated
     monkeypatch.setattr(lanes, "generated", compiled)
-    engine_run.program.cache_clear()
+    programs.program.cache_clear()
     run(n_steps=2, method="rk4")
     assert opened_at_compilation == [0]
     assert len(bars) == 1

@@ -22,20 +22,14 @@ def crossing(t, q, w, p):
     return w[0]
 
 
-def total(t, q, w, s):
-    return (s[0] + w[0],)
-
-
 OPTIONS = {
     "t_end=": {"t_end": 1.03},
     "dt=(N,)": {"dt": [0.1, 0.05], "n_steps": [10, 20]},
     "save_every=": {"save_every": 4},
     "save_at=": {"save_at": [0.33, 0.77]},
     "on_save=": {"save_every": 4, "on_save": lambda saves: None},
-    "reduce=": {"reduce": fa.reducer(total, start=[0.0])},
     "events=": {"events": fa.event(crossing)},
-    "resume=run": {},
-    "resume=checkpoint": {},
+    "checkpoint=": {},
     "compensated=True": {"compensated": True},
     "normalise=k": {"normalise": 4},
     'dtype="float32"': {"dtype": "float32"},
@@ -44,10 +38,6 @@ OPTIONS = {
     'method="exact"': {"method": "exact"},
     'representation="dcm"': {"representation": "dcm"},
 }
-#: options that are those of the earlier run too
-OF_BOTH = {
-    "reduce", "events", "compensated", "normalise", "dtype", "invalid", "method", "representation"
-}  # fmt: skip
 
 
 def options_of(names, file):
@@ -57,12 +47,8 @@ def options_of(names, file):
         found.update(OPTIONS[name])
     if "t_end=" in names:
         found["n_steps"] = None
-    if "resume=checkpoint" in names:
-        found["resume"] = fa.checkpoint(file)
-    if "resume=run" in names:
-        kept = {k: v for k, v in found.items() if k in OF_BOTH}
-        found["resume"] = fa.propagate(FREE, **START, dt=0.1, n_steps=10, **kept)
-        return found
+    if "checkpoint=" in names:
+        found["checkpoint"] = file
     return {**START, **found}
 
 
@@ -74,11 +60,9 @@ def refused_by(table):
 
 def test_every_pair_is_accepted_or_refused_as_the_page_says(tmp_path):
     table = re.search(r"^\| option .*\n.*\n((?:\|.*\n)+)", PAGE.read_text(), re.MULTILINE)
-    page = refused_by(table[1].replace("(unless with `on_save=`)", ""))
+    page = refused_by(table[1])
     found, messages = {name: set() for name in OPTIONS}, []
     for i, (a, b) in enumerate(itertools.combinations(OPTIONS, 2)):
-        if {a, b} == {"resume=run", "resume=checkpoint"}:
-            continue  # two values of one argument
         options = options_of((a, b), tmp_path / str(i))
         try:
             run = fa.propagate(FREE, **options)
@@ -93,18 +77,10 @@ def test_every_pair_is_accepted_or_refused_as_the_page_says(tmp_path):
 
 
 def test_options_that_need_a_third(tmp_path):
-    """A checkpoint holds no saves; saves that are passed on come at intervals."""
-    kept = options_of(("on_save=", "resume=checkpoint"), tmp_path / "job")
-    fa.propagate(FREE, **kept)
-    assert (tmp_path / "job").exists()
+    """Saves that are passed on come at intervals."""
+    kept = options_of(("on_save=",), None)
     with pytest.raises(ValueError, match="on_save: found without save_every"):
         fa.propagate(FREE, **{**kept, "save_every": None})
     both = [kept["on_save"], fa.to_file(tmp_path / "saves.npy")]
-    fa.propagate(FREE, **{**kept, "resume": None, "on_save": both})
+    fa.propagate(FREE, **{**kept, "on_save": both})
     assert (tmp_path / "saves.npy").exists()
-
-
-def test_refusals_name_what_to_pass():
-    run = fa.propagate(FREE, **START, dt=0.1, n_steps=10, method="rk4")
-    with pytest.raises(ValueError, match="dt: found with resume; accepted: one step size"):
-        fa.propagate(FREE, resume=run, dt=[0.1, 0.05], n_steps=[10, 20])

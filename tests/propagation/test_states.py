@@ -97,24 +97,14 @@ def apart(run, wanted):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_random_systems_agree_with_scipy(name):
+def test_systems_agree_with_scipy(name):
     function, usual, start = SYSTEMS[name]
-    rng = np.random.default_rng(len(name))
-    n = 10
-    params = np.array(usual) * rng.uniform(0.5, 1.5, (n, len(usual)))
-    q0, w0 = rng.normal(size=(n, 4)), rng.normal(size=(n, 3))
-    q0 /= np.linalg.norm(q0, axis=1)[:, None]
-    s0 = np.array(start) + rng.normal(scale=0.2, size=(n, len(start)))
-    scene = scene_of(name, params)
+    scene = scene_of(name)
     assert scene.states == len(start)
     assert all(f.straight for f in scene.functions)
-    run = fa.propagate(scene, q0, w0, s0=s0, dt=0.02, n_steps=200, t0=1.0, method="rk8")
-    assert run.s.shape == (1, n, len(start))
-    for k in range(n):
-        q, w, s = truth(function, params[k], (q0[k], w0[k], s0[k]), 4.0, 1.0)
-        assert fa.angle_between(run.q[-1, k], q) < 1e-9
-        np.testing.assert_allclose(run.w[-1, k], w, atol=1e-9)
-        np.testing.assert_allclose(run.s[-1, k], s, atol=1e-9)
+    run = fa.propagate(scene, Q0, W0, s0=start, dt=0.02, n_steps=200, t0=1.0, method="rk8")
+    assert run.s.shape == (1, len(start))
+    assert apart(run, truth(function, usual, (Q0, W0, start), 4.0, 1.0)) < 1e-9
 
 
 # numbers of steps of 4 s whose errors are above what rounding and the reference leave
@@ -122,6 +112,7 @@ LADDERS = ((80, 160), (20, 40), (10, 20), (4, 6), (160, 320))
 
 
 ORDERS = [("flexible", *case) for case in zip(METHODS, LADDERS, strict=True)]
+ORDERS += [("integral", "rk4", LADDERS[0])]
 # of another system a method of few stages, which is quick to compile
 ORDERS += [("integral", *case[1:]) for case in ORDERS if case[1] in ("rk4", RALSTON)]
 
@@ -147,29 +138,24 @@ def turning(t, s, p):
 
 
 @pytest.mark.parametrize("frame", ["body", "inertial"])
-@pytest.mark.parametrize("method", METHODS, ids=str)
-def test_rates_carry_states(frame, method):
-    p, s0 = (0.7, 2.0), (0.4, -0.2)
+def test_rates_carry_states(frame):
+    p, s0, sign = (0.7, 2.0), (0.4, -0.2), (1, -1, -1, -1) if frame == "inertial" else (1, 1, 1, 1)
 
     def slope(t, y):
         w, change = turning(t, y[4:], p)
-        w = np.array(w)
-        side = y[:4] if frame == "body" else y[:4] * (1, -1, -1, -1)
-        moved = kinematics(side, w if frame == "body" else -w)
-        return np.concatenate([moved if frame == "body" else moved * (1, -1, -1, -1), change])
+        return np.concatenate([sign * kinematics(y[:4] * sign, sign[1] * np.array(w)), change])
 
     y = solve_ivp(slope, (0.0, 3.0), [*Q0, *s0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     scene = fa.Scene(rate=turning, states=2, params=p, frame=frame)
     assert scene.kind == "rate"
-    steps = 1600 if method in ("rk4", RALSTON) else 60
-    run = fa.propagate(scene, Q0, s0=s0, dt=3.0 / steps, n_steps=steps, method=method)
-    bound = 3e-9 if steps == 1600 else 1e-11
-    assert fa.angle_between(run.q[-1], y[:4]) < bound
-    np.testing.assert_allclose(run.s[-1], y[4:], atol=bound)
-    w = np.array(turning(3.0, run.s[-1], p)[0])
-    if frame == "inertial":
-        w = fa.quat_rotate_inverse(run.q[-1], w)
-    np.testing.assert_allclose(run.w[-1], w, atol=1e-14)
+    for method, steps, bound in (("rk4", 1600, 3e-9), ("rk8", 60, 1e-11)):
+        run = fa.propagate(scene, Q0, s0=s0, dt=3.0 / steps, n_steps=steps, method=method)
+        assert fa.angle_between(run.q[-1], y[:4]) < bound
+        np.testing.assert_allclose(run.s[-1], y[4:], atol=bound)
+        w = np.array(turning(3.0, run.s[-1], p)[0])
+        if frame == "inertial":
+            w = fa.quat_rotate_inverse(run.q[-1], w)
+        np.testing.assert_allclose(run.w[-1], w, atol=1e-14)
 
 
 def slosh(t, q, w, v, r, s, p):
@@ -238,16 +224,14 @@ def test_a_force_reads_the_states():
     nothing = fa.forces.Constant((0.0, 0.0, 0.0))
     for force in (
         lambda t, q, w, v, s, p: thrust(t, q, w, v, s, (1.5,)),
-        fa.forces.Custom(thrust, (1.5,)),
         fa.forces.Sum((nothing, fa.forces.Custom(counted, (1.5,)))),
     ):
         scene = fa.Scene(
             inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=force
         )
         run = fa.propagate(scene, Q0, W0, v0=v0, s0=s0, dt=0.02, n_steps=200, method="rk8")
-        np.testing.assert_allclose(run.v[-1], y[7:10], atol=1e-10)
-        np.testing.assert_allclose(run.w[-1], y[4:7], atol=1e-10)
-        np.testing.assert_allclose(run.s[-1], y[10:], atol=1e-10)
+        for name, part in zip("wvs", np.split(y[4:], (3, 6)), strict=True):
+            np.testing.assert_allclose(getattr(run, name)[-1], part, atol=1e-10)
 
 
 def test_a_force_at_a_rate_reads_its_states():
@@ -303,27 +287,18 @@ def test_events_read_the_states():
 
     moment, wheel, torque = 2.0, 0.1, 0.05
     scene = fa.Scene(inertia=(moment,) * 3, torque=spun, states=1, params=(torque,))
-
-    def limit(t, q, w, s, p):
-        return s[0] / wheel - w[2] - 3.0
-
-    run = fa.propagate(
-        scene, Q0, np.zeros(3), s0=[0.0], dt=0.5, n_steps=20, method="rk8",
-        events=[fa.event(limit, 1), fa.event(lambda t, q, w, s, p: s[0] - p[0], terminal=True)],
-    )  # fmt: skip
+    limit = fa.event(lambda t, q, w, s, p: s[0] / wheel - w[2] - 3.0, 1)
+    ends = fa.event(lambda t, q, w, s, p: s[0] - p[0], terminal=True)
+    given = {"w0": np.zeros(3), "s0": [0.0], "dt": 0.5, "n_steps": 20, "method": "rk8"}
+    run = fa.propagate(scene, Q0, **given, events=[limit, ends])
     assert np.isnan(run.event_times[0])
     np.testing.assert_allclose(run.event_times[1], 1.0, rtol=1e-14)
     np.testing.assert_allclose(run.s[-1], torque, rtol=1e-14)
-    run = fa.propagate(
-        scene, Q0, np.zeros(3), s0=[0.0], dt=0.5, n_steps=20, method="rk8",
-        events=[fa.event(limit, 1)],
-    )  # fmt: skip
+    run = fa.propagate(scene, Q0, **given, events=[limit])
     wanted = 3.0 / torque / (1.0 / wheel + 1.0 / moment)
     np.testing.assert_allclose(run.event_times, wanted, rtol=1e-14)
     with pytest.raises(ValueError, match=r"event\(t, q, w, s, p\), but the scene has no states"):
-        fa.propagate(
-            fa.Scene(inertia=J), Q0, W0, dt=0.5, n_steps=2, method="rk4", events=[fa.event(limit)]
-        )
+        fa.propagate(fa.Scene(inertia=J), Q0, W0, dt=0.5, n_steps=2, method="rk4", events=[limit])
 
 
 def test_terms_of_a_sum_have_their_own_states():
@@ -356,14 +331,11 @@ def test_a_function_that_is_called_gives_the_same():
             n += 1
         return (0.0 * n, p[0] * s[0], 0.0), (w[0] - s[0],)
 
-    def straight(t, q, w, s, p):
-        return (0.0, p[0] * s[0], 0.0), w[0] - s[0]
-
-    runs = []
-    for function in counted, straight:
+    runs, options = [], {"s0": [0.3], "dt": 0.05, "n_steps": 40, "method": "rk4"}
+    for function in counted, lambda t, q, w, s, p: ((0.0, p[0] * s[0], 0.0), w[0] - s[0]):
         scene = fa.Scene(inertia=J, torque=function, states=1, params=(0.4,))
-        assert scene.functions[0].straight == (function is straight)
-        runs.append(fa.propagate(scene, Q0, W0, s0=0.3 * np.ones(1), dt=0.05, n_steps=40))
+        assert scene.functions[0].straight == (function is not counted)
+        runs.append(fa.propagate(scene, Q0, W0, **options))
     np.testing.assert_allclose(runs[0].s, runs[1].s, atol=1e-14)
     np.testing.assert_allclose(runs[0].w, runs[1].w, atol=1e-14)
 
@@ -380,130 +352,46 @@ MANY = {
 STEPS = {"dt": 0.05, "n_steps": 60, "method": "rk8"}
 
 
-def same(a, b):
-    for name in "qws":
-        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_each_body_is_a_run_of_its_own(dtype):
-    scene = scene_of("integral")
-    many = fa.propagate(scene, **MANY, **STEPS, dtype=dtype, save_every=20)
-    assert many.s.dtype == dtype
-    assert many.s.shape == (4, N, 3)
-    for k in 0, 64, N - 1:
-        one = fa.propagate(
-            scene, *(x[k] for x in (MANY["q0"], MANY["w0"])), s0=MANY["s0"][k], **STEPS,
-            dtype=dtype, save_every=20,
-        )  # fmt: skip
-        assert one.s.shape == (4, 3)
-        np.testing.assert_array_equal(one.s, many.s[:, k])
-        np.testing.assert_array_equal(one.q, many.q[:, k])
-    shared = fa.propagate(scene, MANY["q0"], W0, s0=MANY["s0"][0], **STEPS, dtype=dtype)
-    each = fa.propagate(
-        scene, MANY["q0"], W0, s0=np.tile(MANY["s0"][0], (N, 1)), **STEPS, dtype=dtype
-    )
-    same(shared, each)
-
-
 def test_single_precision_is_near_double():
-    runs = [
-        fa.propagate(scene_of("integral"), **MANY, **STEPS, dtype=dtype)
-        for dtype in ("float64", "float32")
-    ]
-    gap = np.abs(runs[1].s - runs[0].s).max()
-    assert 0.0 < gap < 3e-5
-
-
-def test_a_resumed_run_is_the_whole_one(tmp_path):
     scene = scene_of("integral")
-    whole = fa.propagate(scene, **MANY, **STEPS)
-    half = {**STEPS, "n_steps": 25}
-    first = fa.propagate(scene, **MANY, **half)
-    first.save_end(tmp_path / "end")
-    same(fa.propagate(scene, resume=tmp_path / "end", **{**STEPS, "n_steps": 35}), whole)
-    with pytest.raises(ValueError, match=r"^s0: found with resume"):
-        fa.propagate(scene, s0=MANY["s0"], resume=first, **STEPS)
-
-    path = fa.checkpoint(tmp_path / "job")
-    fa.propagate(scene, **MANY, **half, resume=path)
-    same(fa.propagate(scene, **MANY, **STEPS, resume=path), whole)
-    other = {**MANY, "s0": MANY["s0"] + 1.0}
-    with pytest.raises(ValueError, match="other initial values"):
-        fa.propagate(scene, **other, **STEPS, resume=path)
+    double, single = (fa.propagate(scene, **MANY, **STEPS, dtype=x) for x in ("f8", "f4"))
+    assert single.s.dtype == np.float32
+    assert 0.0 < np.abs(single.s - double.s).max() < 3e-5
 
 
-def test_saves_at_times_and_per_body_steps():
-    scene = scene_of("integral")
-    each = fa.propagate(scene, **MANY, **STEPS, save_every=1)
-    at = fa.propagate(scene, **MANY, **STEPS, save_at=each.t[[3, 40]])
-    np.testing.assert_allclose(at.s, each.s[[3, 40]], atol=1e-13)
-    counts = np.where(np.arange(N) % 2, 60, 90)
-    run = fa.propagate(scene, **MANY, dt=3.0 / counts, n_steps=counts, method="rk8")
-    for n in 60, 90:
-        wanted = fa.propagate(scene, **MANY, dt=3.0 / n, n_steps=n, method="rk8")
-        np.testing.assert_allclose(run.s[-1, counts == n], wanted.s[-1, counts == n], atol=1e-12)
-
-
-def test_plans_files_and_functions_that_take_saves(tmp_path):
-    scene = scene_of("integral")
-    wanted = fa.propagate(scene, **MANY, **STEPS, save_every=1)
-    plan = fa.plan(scene, N, **STEPS, save_every=1)
-    same(plan(**MANY), wanted)
-    seen = []
-    kept = fa.propagate(
-        scene, **MANY, **STEPS, save_every=1,
-        on_save=[fa.to_file(tmp_path / "run.npy"), lambda run: seen.append(run.s.copy())],
+def test_files_and_tables_take_states(tmp_path):
+    run = fa.propagate(
+        scene_of("integral"), Q0, W0, s0=(0.1, 0.2, 0.3), **STEPS, save_every=30,
+        on_save=fa.to_file(tmp_path / "run.npy"),
     )  # fmt: skip
-    np.testing.assert_array_equal(kept.s, wanted.s)
-    np.testing.assert_array_equal(np.concatenate(seen), wanted.s)
-    with pytest.raises(ValueError, match=r"^s0: is missing"):
-        plan(MANY["q0"], MANY["w0"])
+    np.testing.assert_array_equal(np.load(tmp_path / "run.npy")[-1, 0, 7:10], run.s[-1])
+    run.to_csv(tmp_path / "run.csv")
+    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
+    assert head == "t,q0,q1,q2,q3,wx,wy,wz,s0,s1,s2,status"
+    found = np.array([line.split(",") for line in lines], dtype=float)
+    np.testing.assert_array_equal(found[:, 8:11], run.s)
+    np.testing.assert_array_equal(run.to_dataframe()["s1"], run.s[:, 1])
 
 
 def test_states_that_are_lost_flag_their_body_alone():
     s0 = MANY["s0"].copy()
     s0[5, 1] = np.nan
+    scene, given = scene_of("integral"), {**MANY, **STEPS}
     with pytest.raises(ValueError, match=r"^s0\[5, 1\] is nan"):
-        fa.propagate(scene_of("integral"), MANY["q0"], MANY["w0"], s0=s0, **STEPS)
-    run = fa.propagate(scene_of("integral"), MANY["q0"], MANY["w0"], s0=s0, **STEPS, invalid="flag")
-    wanted = fa.propagate(scene_of("integral"), **MANY, **STEPS)
+        fa.propagate(scene, **given | {"s0": s0})
+    run = fa.propagate(scene, **given | {"s0": s0}, invalid="flag")
     assert np.flatnonzero(run.status).tolist() == [5]
     assert run.status[5] & fa.Status.NON_FINITE
     others = np.arange(N) != 5
-    np.testing.assert_array_equal(run.s[:, others], wanted.s[:, others])
+    np.testing.assert_array_equal(run.s[:, others], fa.propagate(scene, **given).s[:, others])
 
     def explodes(t, q, w, s, p):
         return (0.0, 0.0, 0.0), (s[0] * s[0],)
 
     scene = fa.Scene(inertia=J, torque=explodes, states=1)
     run = fa.propagate(scene, Q0, W0, s0=[[-1.0], [1.0]], dt=0.05, n_steps=200, method="rk4")
-    assert run.status[0] == 0
-    assert run.status[1] == fa.Status.NON_FINITE
+    assert run.status.tolist() == [0, fa.Status.NON_FINITE]
     np.testing.assert_allclose(run.s[-1, 0], -1.0 / 11.0, rtol=1e-5)
-
-
-def test_a_reducer_sees_the_steps_of_states():
-    def largest(t, q, w, s):
-        return max(w[0], s[0])
-
-    scene = fa.Scene(rate=turning, states=2, params=(0.7, 2.0))
-    run = fa.propagate(
-        scene, Q0, s0=(0.4, -0.2), dt=0.02, n_steps=100, method="rk8", save_every=1,
-        reduce=fa.reducer(largest, start=-9.0),
-    )  # fmt: skip
-    assert run.s.shape == (101, 2)
-    np.testing.assert_allclose(run.reduced, run.s[1:, 0].max(), atol=1e-13)
-
-
-def test_tables_have_columns_of_states(tmp_path):
-    run = fa.propagate(scene_of("flexible"), Q0, W0, s0=(0.1, 0.2), **STEPS, save_every=30)
-    run.to_csv(tmp_path / "run.csv")
-    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
-    assert head == "t,q0,q1,q2,q3,wx,wy,wz,s0,s1,status"
-    found = np.array([line.split(",") for line in lines], dtype=float)
-    np.testing.assert_array_equal(found[:, 8:10], run.s)
-    np.testing.assert_array_equal(run.to_dataframe()["s1"], run.s[:, 1])
 
 
 def test_single_steps_are_those_of_a_run():
@@ -520,20 +408,16 @@ def test_single_steps_are_those_of_a_run():
 
 
 def test_advice_and_checks_take_initial_states():
-    scene = scene_of("integral")
-    few = {name: x[:6] for name, x in MANY.items()}
+    scene, few = scene_of("integral"), {name: x[:6] for name, x in MANY.items()}
     advice = fa.recommend(scene, **few, t_end=3.0, tol=1e-7)
-    assert advice.method in ("rk4", "rk8", "rk9", "gbs16")
-    run = fa.propagate(scene, **few, **advice.arguments)
-    fine = fa.propagate(scene, **few, dt=0.005, n_steps=600, method="rk9")
+    run = fa.propagate(scene, **few, **advice.arguments, save_every=1)
+    fine = fa.propagate(scene, **few, dt=0.005, n_steps=600, method="rk8")
     assert fa.angle_between(run.q[-1], fine.q[-1]).max() < 1e-7
     check = fa.check_convergence(scene, **few, dt=0.1, n_steps=30, method="rk4")
     assert check.passed
     assert check.order == pytest.approx(4.0, abs=0.3)
-    measured = fa.work_precision(
-        scene, **few, t_end=3.0, methods=["rk4"], dtypes=["float64"], repeats=1, max_seconds=2.0
-    )
-    assert measured.rows
+    options = {"methods": ["rk4"], "dtypes": ["float64"], "repeats": 1, "max_seconds": 2.0}
+    assert fa.work_precision(scene, **few, t_end=3.0, **options).rows
     steps = fa.per_body_steps(scene, **few, t_end=3.0, tol=1e-6, method="rk8")
     assert steps.expected_error <= 1e-6
     drift = fa.drift(run, scene)
@@ -552,22 +436,10 @@ def test_advice_sees_a_force_that_jumps_with_a_state():
         fa.recommend(scene, Q0, W0, v0=[0, 0, 0], s0=[0.1, 0.0], t_end=3.0, tol=1e-7)
 
 
-def test_dask_gives_the_same_bits():
-    pytest.importorskip("dask")
-    from fastatt import dask as fd
-
-    scene = scene_of("integral")
-    lazy = fd.propagate(scene, **MANY, **STEPS, chunks=32)
-    assert lazy.s.shape == (1, N, 3)
-    wanted = fa.propagate(scene, **MANY, **STEPS)
-    same(lazy.compute(), wanted)
-    np.testing.assert_array_equal(lazy.s.compute(), wanted.s)
-
-
 # what is refused
 
 
-@pytest.mark.parametrize("method", ["strang2", "rkmk4", "cf4", "suzuki4", "dmv4"])
+@pytest.mark.parametrize("method", ["strang2", "rkmk4", "cf4", "kahan_li8", "dmv2"])
 def test_other_methods_name_those_that_take_states(method):
     accepted = r"accepted: rk4, rk8, rk9, gbs16 \("
     with pytest.raises(ValueError, match=rf"^method: found '?{method}'?; {accepted}"):
@@ -605,13 +477,10 @@ def test_states_need_a_function_that_carries_them():
             fa.Scene(inertia=J, torque=torque, states=2)
 
 
-def test_results_are_the_torque_and_the_slopes():
-    def alone(t, q, w, s, p):
-        return 0.0, 0.0, s[0]
-
-    def short(t, q, w, s, p):
-        return (0.0, 0.0, s[0]), (s[0],)
-
-    for function in alone, short:
-        with pytest.raises(TypeError, match=r"a tuple of 2, the time derivatives of s$"):
-            fa.Scene(inertia=J, torque=function, states=2)
+@pytest.mark.parametrize(
+    "function",
+    [lambda t, q, w, s, p: (0.0, 0.0, s[0]), lambda t, q, w, s, p: ((0.0, 0.0, s[0]), s[:1])],
+)
+def test_results_are_the_torque_and_the_slopes(function):
+    with pytest.raises(TypeError, match=r"a tuple of 2, the time derivatives of s$"):
+        fa.Scene(inertia=J, torque=function, states=2)

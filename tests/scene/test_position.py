@@ -150,47 +150,36 @@ ORBIT = fa.Scene(
 
 
 def test_kepler_orbit():
-    """Against 18 digits, and the torque of an orbit that is solved by Kepler's equation."""
+    """Against 18 digits."""
     start = {"v0": fa.quat_rotate_inverse(START, THERE), "r0": PERIAPSIS}
     end = oracle(gradient, planet, 2.0, **start)
     traj = run(ORBIT, 100, 2.0, **start)
     assert (gaps(last(traj), end) < 1e-12).all()
-    known = fa.torques.KeplerGravityGradient(1.0, ECCENTRIC)
-    slow = {"dt": 2e-4, "n_steps": 10_000, "method": "rk4"}  # which others compile too
-    other = fa.propagate(fa.Scene(inertia=INERTIA, torque=known), START, SPIN, **slow)
-    assert angle(traj.q[-1], other.q[-1]) < 1e-12
-    assert np.abs(traj.w[-1] - other.w[-1]).max() < 1e-12
 
 
 def test_a_step_too_large_at_periapsis_is_flagged():
-    """By the turn in orbit, however slowly the body turns; its neighbour is as if alone."""
+    """By the turn in orbit, however slowly the body turns; its neighbour stays on its circle."""
     e = 0.9
-    near = {
-        "r0": [[1 - e, 0, 0], [1, 0, 0]],
-        "v0": [[0, math.sqrt((1 + e) / (1 - e)), 0], [0, 1, 0]],
-    }
+    r0 = np.array([[1 - e, 0, 0], [1, 0, 0]])
+    v0 = [[0, math.sqrt((1 + e) / (1 - e)), 0], [0, 1, 0]]
     body = fa.Scene(inertia=INERTIA, mass=MASS, force=fa.forces.CentralGravity(1.0))
-    given = {"dt": 2 * math.pi / 64, "n_steps": 64, "method": "rk8"}
-    traj = fa.propagate(body, [[1, 0, 0, 0]] * 2, [1e-3, 0, 0], **near, **given)
+    traj = fa.propagate(
+        body, [[1, 0, 0, 0]] * 2, [1e-3, 0, 0], r0=r0, v0=v0,
+        dt=2 * math.pi / 64, n_steps=64, method="rk8",
+    )  # fmt: skip
     assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE, 0]
-    assert np.abs(traj.r[-1] - near["r0"])[0].max() > 0.1
-    assert np.abs(traj.r[-1] - near["r0"])[1].max() < 1e-11
-    alone = {name: x[1] for name, x in near.items()}
-    one = fa.propagate(body, [1, 0, 0, 0], [1e-3, 0, 0], **alone, **given)
-    assert np.array_equal(one.r[-1], traj.r[-1, 1])
+    assert np.abs(traj.r[-1] - r0)[0].max() > 0.1
+    assert np.abs(traj.r[-1] - r0)[1].max() < 1e-11
 
 
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_a_centre_among_several_forces_limits_steps(place):
+def test_a_centre_among_several_forces_limits_steps():
     """As one alone does, wherever it stands in the sum."""
-    terms = [fa.forces.Constant((0.0, 0.0, 0.0)), fa.forces.Drag(0.0)]
-    terms.insert(place, fa.forces.CentralGravity(1.0))
+    centre, rest = fa.forces.CentralGravity(1.0), fa.forces.Constant((0.0, 0.0, 0.0))
     given = {"r0": [[0.05, 0, 0], [1, 0, 0]], "v0": [[0, 20.0**0.5, 0], [0, 1, 0]]}
-    for force in (fa.forces.CentralGravity(1.0), fa.forces.Sum(tuple(terms))):
+    for force in (centre, fa.forces.Sum((centre, rest)), fa.forces.Sum((rest, centre))):
         body = fa.Scene(inertia=INERTIA, mass=MASS, force=force)
-        traj = fa.propagate(
-            body, [[1, 0, 0, 0]] * 2, [1e-3, 0, 0], **given, dt=0.05, n_steps=20, method="rk8"
-        )
+        q0, steps = [[1, 0, 0, 0]] * 2, {"dt": 0.05, "n_steps": 20, "method": "rk8"}
+        traj = fa.propagate(body, q0, [1e-3, 0, 0], **given, **steps)
         assert traj.status.tolist() == [fa.Status.STEP_TOO_LARGE, 0]
 
 
@@ -284,7 +273,7 @@ def test_each_body_has_its_own():
 
     half = fa.propagate(scene, q0, w0, **given, **usual | {"n_steps": 6})
     assert same(half, 1)
-    assert same(fa.propagate(scene, resume=half, **usual | {"n_steps": 6}))
+    assert same(fa.resume(scene, half, n_steps=6))
     assert same(fa.plan(scene, 3, **usual)(q0, w0, **given))
     own = {"dt": [0.05, 0.025, 0.05], "n_steps": [12, 24, 12], "save_at": [0.33, 0.6]}
     mixed = fa.propagate(scene, q0, w0, **given, **usual | own)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from each import each
 from exact import EPS, START, angle, attitude, coning, exp, mul, precession
-from numba import njit
 
 import fastatt as fa
 from fastatt.codegen.rows import rows
@@ -31,24 +31,17 @@ def versine(t, rotation, duration, start):
     return np.asarray(rotation) / duration * (1.0 - np.cos(2.0 * np.pi * x))
 
 
+def coned(t):
+    x, y = np.sin(0.4) * np.sin(1.3 * t), np.sin(0.4) * np.cos(1.3 * t)
+    return 1.3 * np.array([-x, y, -2.0 * np.sin(0.2) ** 2])
+
+
 SINES = rates.Sinusoidal(A, B, C, D)
 CASES = {
     "constant": (rates.Constant(A), lambda t: A),
     "sinusoidal": (SINES, lambda t: A + B * np.sin(C * t + D)),
     "no phase": (rates.Sinusoidal(A, B, C), lambda t: A + B * np.sin(C * t)),
-    "coning": (
-        rates.Coning(0.4, 1.3),
-        lambda t: (
-            1.3
-            * np.array(
-                [
-                    -np.sin(0.4) * np.sin(1.3 * t),
-                    np.sin(0.4) * np.cos(1.3 * t),
-                    -2.0 * np.sin(0.2) ** 2,
-                ]
-            )
-        ),
-    ),
+    "coning": (rates.Coning(0.4, 1.3), coned),
     "precession": (
         rates.Precession(0.7, 0.4, 1.1, 0.3),
         lambda t: np.array([0.7 * np.cos(1.1 * t + 0.3), 0.7 * np.sin(1.1 * t + 0.3), 0.4]),
@@ -85,27 +78,6 @@ def test_polynomial_of_any_degree(degree):
         assert (error <= (degree + 1) * 2 * EPS * size).all()
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name not in ("sum", "polynomial")])
-def test_bound_is_no_less_than_the_rate_and_no_more_than_needed(name):
-    model, formula = CASES[name]
-    packed = pack(model, Rate, None)
-    most = max(np.linalg.norm(formula(t)) for t in np.linspace(-2.4, 2.4, 481))
-    (bound,) = rates.bound(packed.structure, packed.params)
-    assert most * (1.0 - 4 * EPS) <= bound <= 2.0 * most
-
-
-def test_no_bound_is_known_of_what_grows_without_end():
-    packed = pack(rates.Polynomial([A, B]), Rate, None)
-    assert rates.bound(packed.structure, packed.params) is None
-
-
-def test_no_bound_is_known_of_a_users_function():
-    user = rates.Custom(njit(lambda t, p: (p[0], 0.0, t)), [0.3])
-    for model in (user, rates.Sum((rates.Constant(A), user))):
-        packed = pack(model, Rate, None)
-        assert rates.bound(packed.structure, packed.params) is None
-
-
 # attitudes in closed form
 
 
@@ -113,18 +85,21 @@ def propagated(model, t, q0=START, n=400, **options):
     return fa.propagate(fa.Scene(rate=model), q0, dt=t / n, n_steps=n, method="magnus6", **options)
 
 
-def test_constant_attitude():
-    assert angle(propagated(rates.Constant(A), 3.0).q[-1], mul(START, exp(3.0 * A))) < 400 * 4 * EPS
-
-
-def test_coning_attitude():
-    found = propagated(rates.Coning(0.4, 1.3), 3.0, coning(0.0, 0.4, 1.3)).q[-1]
-    assert angle(found, coning(3.0, 0.4, 1.3)) < 1e-12
-
-
-def test_precession_attitude():
-    found = propagated(rates.Precession(0.7, 0.4, 1.1, 0.3), 3.0).q[-1]
-    assert angle(found, precession(3.0, 0.7, 0.4, 1.1, 0.3, START)) < 1e-12
+@each(
+    ("model", "start", "end", "bound"),
+    [
+        (rates.Constant(A), START, mul(START, exp(3.0 * A)), 400 * 4 * EPS),
+        (rates.Coning(0.4, 1.3), coning(0.0, 0.4, 1.3), coning(3.0, 0.4, 1.3), 1e-12),
+        (
+            rates.Precession(0.7, 0.4, 1.1, 0.3),
+            START,
+            precession(3.0, 0.7, 0.4, 1.1, 0.3, START),
+            1e-12,
+        ),
+    ],
+)
+def test_attitudes_in_closed_form(model, start, end, bound):
+    assert angle(propagated(model, 3.0, start).q[-1], end) < bound
 
 
 @pytest.mark.parametrize("start", [0.0, 0.5])
@@ -143,43 +118,26 @@ def test_sum_attitude():
     """No closed form: the independent reference."""
     model = rates.Sum((rates.Coning(0.4, 1.3), rates.Constant(A)))
     found = propagated(model, 3.0).q[-1]
-    formula = CASES["coning"][1]
-    expected = attitude(lambda times: np.array([formula(t) + A for t in times]), 0.0, 3.0, START)
+    expected = attitude(lambda times: np.array([coned(t) + A for t in times]), 0.0, 3.0, START)
     assert angle(found, expected) < 1e-12
 
 
 # parameters of each body
 
 
-@pytest.mark.parametrize(
-    ("model", "single"),
+@each(
+    ("make", "rows"),
     [
-        (
-            rates.Sinusoidal([A, B], C, np.array([D, A]), D),
-            [rates.Sinusoidal(A, C, D, D), rates.Sinusoidal(B, C, A, D)],
-        ),
-        (rates.Coning(0.4, [1.0, 2.0]), [rates.Coning(0.4, 1.0), rates.Coning(0.4, 2.0)]),
-        (
-            rates.Slew([A, B], 2.0, [0.0, 1.0]),
-            [rates.Slew(A, 2.0, 0.0), rates.Slew(B, 2.0, 1.0)],
-        ),
-        (
-            rates.Sum((rates.Constant(A), rates.Precession([0.1, 0.2], 0.3, 0.4))),
-            [
-                rates.Sum((rates.Constant(A), rates.Precession(0.1, 0.3, 0.4))),
-                rates.Sum((rates.Constant(A), rates.Precession(0.2, 0.3, 0.4))),
-            ],
-        ),
-        (
-            rates.Polynomial([[A, B], [C, D]]),
-            [rates.Polynomial([A, B]), rates.Polynomial([C, D])],
-        ),
+        (lambda a, c: rates.Sinusoidal(a, C, c, D), [(A, D), (B, A)]),
+        (lambda f: rates.Coning(0.4, f), [(1.0,), (2.0,)]),
+        (lambda a, t: rates.Slew(a, 2.0, t), [(A, 0.0), (B, 1.0)]),
+        (lambda x: rates.Sum((rates.Constant(A), rates.Precession(x, 0.3, 0.4))), [(0.1,), (0.2,)]),
+        (rates.Polynomial, [([A, B],), ([C, D],)]),
     ],
-    ids=["sinusoidal", "coning", "slew", "sum", "polynomial"],
 )
-def test_rows_of_bodies_broadcast_with_numbers_for_all(model, single):
-    packed = pack(model, Rate, 2)
-    alone = [pack(m, Rate, None) for m in single]
+def test_rows_of_bodies_broadcast_with_numbers_for_all(make, rows):
+    packed = pack(make(*map(list, zip(*rows, strict=True))), Rate, 2)
+    alone = [pack(make(*row), Rate, None) for row in rows]
     assert packed.params.tolist() == [p.params.tolist() for p in alone]
     assert {packed.structure} == {p.structure for p in alone}
 

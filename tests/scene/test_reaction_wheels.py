@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from each import each
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
@@ -22,12 +23,7 @@ RUN = {"dt": 0.02, "n_steps": 250, "method": "rk8"}
 
 
 def spin_up(t, q, w, s, p):
-    return (
-        p[0] * math.sin(t),
-        -p[0] * w[0],
-        p[1] * (20.0 - s[2]),
-        0.1 * q[1] * s[0] - 0.02 * s[3],
-    )
+    return (p[0] * math.sin(t), -p[0] * w[0], p[1] * (20.0 - s[2]), 0.1 * q[1] * s[0] - 0.02 * s[3])
 
 
 def pid(t, q, w, s, p):
@@ -135,7 +131,7 @@ def test_energy_is_what_motors_and_friction_leave():
     """d(T)/dt = Σ u Ω: of body and wheels together, integrated by Simpson's rule."""
     run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.005, n_steps=1000, save_every=1, method="rk8")
     speeds = DRIVEN.speeds(run.s, run.w)
-    energy = fa.kinetic_energy(run.w, SCENE.inertia) + (0.5 * run.s**2 / INERTIA).sum(axis=-1)
+    energy = energy_of(run, SCENE)
     net = [
         np.array(spin_up(t, q, w, s, (0.3, 0.02))) - friction(s)
         for t, q, w, s in zip(run.t, run.q, run.w, speeds, strict=True)
@@ -146,12 +142,15 @@ def test_energy_is_what_motors_and_friction_leave():
     assert energy[-1] - energy[0] == pytest.approx(work, abs=1e-9)
 
 
+def energy_of(run, scene):
+    return fa.kinetic_energy(run.w, scene.inertia) + (0.5 * run.s**2 / INERTIA).sum(axis=-1)
+
+
 def test_friction_alone_takes_energy():
     idle = wheels(**FRICTION)
     scene = fa.Scene(inertia=idle.body_inertia(WHOLE), torque=idle)
     run = fa.propagate(scene, Q0, W0, s0=S0, **RUN | {"save_every": 5})
-    energy = fa.kinetic_energy(run.w, scene.inertia) + (0.5 * run.s**2 / INERTIA).sum(axis=-1)
-    assert (np.diff(energy) < 0.0).all()
+    assert (np.diff(energy_of(run, scene)) < 0.0).all()
 
 
 def test_a_model_commands_the_torque_on_the_body():
@@ -164,7 +163,6 @@ def test_a_model_commands_the_torque_on_the_body():
     assert scene.states == 7
     assert [f.straight for f in scene.functions] == [True]
     s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(3)])
-    run = fa.propagate(scene, [Q0, Q0], W0, s0=s0, **RUN)
     for body, p in enumerate(gains):
 
         def motors(t, q, w, speeds, more, p=p):
@@ -172,9 +170,7 @@ def test_a_model_commands_the_torque_on_the_body():
             return -np.linalg.pinv(AXES.T) @ torque - friction(speeds), changes
 
         wanted = truth(5.0, motors, 3, lambda t: np.array(push))
-        one = fa.propagate(scene[[body]], Q0, W0, s0=s0, **RUN)
-        agree(one, model, wanted, 1e-10)
-        np.testing.assert_array_equal(one.q[-1], run.q[-1, body])
+        agree(fa.propagate(scene[[body]], Q0, W0, s0=s0, **RUN), model, wanted, 1e-10)
 
 
 def law(t, q, w, s, p):
@@ -225,17 +221,14 @@ def test_a_sampled_function_reads_the_speeds():
 
 def test_numbers_of_each_body():
     axes = np.stack([AXES, AXES[[1, 2, 0, 3]]])
-    own = fa.torques.ReactionWheels(
-        axes, INERTIA, spin_up, (0.3, 0.02), coulomb=[[0.0], [0.01]], max_torque=0.2
-    )
+    given = {"inertia": INERTIA, "command": spin_up, "params": (0.3, 0.02), "max_torque": 0.2}
+    own = fa.torques.ReactionWheels(axes, coulomb=[[0.0], [0.01]], **given)
     scene = fa.Scene(inertia=own.body_inertia(WHOLE), torque=own)
     s0 = own.momenta(SPEEDS, W0)
     assert s0.shape == (2, 4)
     run = fa.propagate(scene, [Q0, Q0], W0, s0=s0, **RUN)
-    for body in range(2):
-        one = fa.torques.ReactionWheels(
-            axes[body], INERTIA, spin_up, (0.3, 0.02), coulomb=(0.0, 0.01)[body], max_torque=0.2
-        )
+    for body, coulomb in enumerate((0.0, 0.01)):
+        one = fa.torques.ReactionWheels(axes[body], coulomb=coulomb, **given)
         alone = fa.Scene(inertia=one.body_inertia(WHOLE), torque=one)
         found = fa.propagate(alone, Q0, W0, s0=s0[body], **RUN)
         assert fa.angle_between(found.q[-1], run.q[-1, body]) < 1e-14
@@ -269,7 +262,7 @@ def test_one_wheel_takes_a_number():
     assert one.speeds(run.s, run.w)[-1, 0] == pytest.approx(speed, abs=1e-12)
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "error", "message"),
     [
         ({"axes": [1.0, 0.0, 0.0]}, ValueError, r"ReactionWheels.axes .*accepted: \(K, 3\)"),
@@ -277,21 +270,51 @@ def test_one_wheel_takes_a_number():
         ({"inertia": [1.0, 2.0]}, ValueError, r"inertia .*accepted: a number, \(4,\) of the"),
         ({"inertia": 0.0}, ValueError, r"inertia is 0.0; accepted: above 0"),
         ({"viscous": -1.0}, ValueError, r"viscous is -1.0; accepted: 0 or more"),
-        ({"max_torque": [1, 1, 1, 0]}, ValueError, r"max_torque\[3\] is 0"),
+        ({"max_torque": [1, 1, 1, -0.1]}, ValueError, r"max_torque\[3\] is -0.1; accepted: 0 or m"),
+        ({"max_speed": 0.0}, ValueError, r"max_speed is 0.0; accepted: above 0"),
+        ({"axes": AXES.T}, ValueError, r"ReactionWheels.axes .*accepted: \(K, 3\)"),
         ({"command": 3.0}, TypeError, r"command: found 3.0; accepted: a function command\("),
-        ({"command": lambda t, q, w, s, p: (t, t)}, TypeError, r"a tuple of 4 floats"),
         ({"command": fa.torques.Damping(1.0), "params": 1.0}, ValueError, r"params: found beside"),
         ({"command": fa.torques.Damping(1.0), "period": 1.0}, ValueError, r"period: found beside"),
         ({"command": fa.torques.Damping(1.0), "states": 1}, ValueError, r"states: found beside"),
         ({"command": spin_up, "period": 0.0}, ValueError, r"period.*0.0; accepted: above 0"),
         ({"states": 2}, ValueError, r"states: found without command; accepted: with a function"),
-        ({"command": spin_up, "states": 2}, TypeError, r"spin_up\(t, q, w, s, p\)"),
     ],
 )
 def test_what_is_refused(options, error, message):
+    """When the wheels are made."""
     given = {"axes": AXES, "inertia": INERTIA} | options
     with pytest.raises(error, match=message):
-        fa.Scene(inertia=WHOLE, torque=fa.torques.ReactionWheels(**given))
+        fa.torques.ReactionWheels(**given)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"command": lambda t, q, w, s, p: (t, t)}, r"a tuple of 4 floats"),
+        ({"command": spin_up, "states": 2}, r"spin_up\(t, q, w, s, p\)"),
+    ],
+)
+def test_what_a_function_returns_is_checked_by_the_scene(options, message):
+    driven = wheels(**options)
+    with pytest.raises(TypeError, match=message):
+        fa.Scene(inertia=WHOLE, torque=driven)
+
+
+@pytest.mark.parametrize(("whole", "moment"), [((3.0, 2.0, 1.0), 2.5), (np.eye(3), 1.0)])
+def test_a_body_without_its_wheels_has_positive_moments(whole, moment):
+    with pytest.raises(ValueError, match=r"inertia: its lowest moment .*; accepted: above 0"):
+        fa.torques.ReactionWheels(np.eye(3), moment).body_inertia(whole)
+    with pytest.raises(ValueError, match=r"lowest moment without wheels\[1\] is -1"):
+        fa.torques.ReactionWheels([[0, 0, 1]], [[0.1], [4.0]]).body_inertia((3.0, 3.0, 3.0))
+
+
+def test_a_wheel_that_failed_gives_no_torque():
+    failed = wheels(command=lambda t, q, w, s, p: (0.3,) * 4, max_torque=[0.1, 0.0, 1.0, 0.1])
+    scene = fa.Scene(inertia=failed.body_inertia(WHOLE), torque=failed)
+    run = fa.propagate(scene, Q0, W0, s0=failed.momenta(SPEEDS, W0), **RUN)
+    change = run.s[-1] - failed.momenta(SPEEDS, W0)
+    assert change == pytest.approx(np.array([0.1, 0.0, 0.3, 0.1]) * 5.0, abs=1e-13)
 
 
 def held(t, q, w, s, p):
@@ -307,12 +330,7 @@ def on_body(t, q, w, s, p):
     ("command", "options", "torques", "slopes"),
     [
         (held, {"period": 0.2, "states": 1}, (1.0, 2.0), (1.0, 2.0)),
-        (
-            fa.torques.SampledControl(on_body, 0.2, states=1),
-            {},
-            (1.0, 2.0, 3.0),
-            (-1.0, -2.0),
-        ),
+        (fa.torques.SampledControl(on_body, 0.2, states=1), {}, (1.0, 2.0, 3.0), (-1.0, -2.0)),
     ],
     ids=["motors", "body"],
 )
@@ -331,3 +349,76 @@ def test_states_are_momenta_held_torques_and_own_states(command, options, torque
     assert kept[1:] == pytest.approx(np.add.outer(times, torques), abs=1e-14)
     assert (kept[0] == 9.0).all()
     assert own[:, 0].tolist() == [5.0, 6.0, 6.0, 7.0]
+
+
+RATE, PLACE, MU = 0.05, np.array([3.0, -4.0, 12.0]), 7.0
+
+
+def of_whole(o, rate):
+    return 3.0 * rate**2 * np.cross(o, WHOLE @ o)
+
+
+def on_a_circle(t, q, w, p):
+    o = fa.kernels.quat.rotate_inverse(q, (math.cos(RATE * t), math.sin(RATE * t), 0.0))
+    return tuple(of_whole(np.array(o), RATE))
+
+
+def at_a_place(t, q, w, p):
+    return tuple(of_whole(np.array(fa.kernels.quat.rotate_inverse(q, tuple(PLACE / 13.0))), FALL))
+
+
+FALL = math.sqrt(MU / 13.0**3)
+
+
+@pytest.mark.parametrize(("representation", "axes"), [("quat", AXES), ("dcm", AXES[[3, 0]])])
+@pytest.mark.parametrize(
+    ("model", "function"),
+    [
+        (fa.torques.GravityGradient(RATE), on_a_circle),
+        (fa.torques.GravityGradientAt(PLACE, MU), at_a_place),
+    ],
+)
+def test_gravity_gradient_beside_wheels_is_that_of_the_whole(model, function, representation, axes):
+    driven = fa.torques.ReactionWheels(axes, 0.3, viscous=0.01)
+    inertia = driven.body_inertia(WHOLE)
+    options = {"s0": driven.momenta(4.0, W0), "dt": 0.05, "representation": representation}
+    runs = []
+    for beside in (model, fa.torques.Custom(function)):
+        scene = fa.Scene(inertia=inertia, torque=fa.torques.Sum((driven, beside)))
+        runs.append(fa.propagate(scene, Q0, W0, n_steps=200, method="rk8", **options))
+    assert fa.angle_between(runs[0].q, runs[1].q).max() < 1e-13
+    assert np.abs(runs[0].w - runs[1].w).max() < 1e-13
+
+
+def test_gravity_gradient_at_the_propagated_position_is_that_of_the_whole():
+    """As at a place that the body does not leave."""
+    driven = fa.torques.ReactionWheels(AXES, 0.2)
+    options = {"s0": driven.momenta(4.0, W0), "dt": 0.05, "n_steps": 100, "method": "rk8"}
+    moved = fa.Scene(
+        inertia=driven.body_inertia(WHOLE), mass=2.0, force=lambda t, q, w, v, p: (0.0, 0.0, 0.0),
+        torque=fa.torques.Sum((fa.torques.CentralGravityGradient(MU), driven)),
+    )  # fmt: skip
+    still = fa.Scene(
+        inertia=moved.inertia,
+        torque=fa.torques.Sum((fa.torques.GravityGradientAt(PLACE, MU), driven)),
+    )
+    run = fa.propagate(moved, Q0, W0, v0=(0.0, 0.0, 0.0), r0=PLACE, **options)
+    assert fa.angle_between(run.q, fa.propagate(still, Q0, W0, **options).q).max() < 1e-13
+
+
+def test_axes_and_inertias_of_each_body_enter_the_gravity_gradient():
+    rng = np.random.default_rng(4)
+    axes = rng.normal(size=(5, 2, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    moments = rng.uniform(0.05, 0.2, (5, 2))
+
+    def run(axes, moments):
+        driven = fa.torques.ReactionWheels(axes, moments)
+        terms = fa.torques.Sum((fa.torques.GravityGradient(RATE), driven))
+        scene = fa.Scene(inertia=driven.body_inertia(WHOLE), torque=terms)
+        s0 = np.ones(moments.shape)
+        return fa.propagate(scene, Q0, W0, s0=s0, dt=0.1, n_steps=50, method="rk4").q[-1]
+
+    together = run(axes, moments)
+    for k in range(5):
+        assert fa.angle_between(together[k], run(axes[k], moments[k])) < 1e-14

@@ -43,14 +43,15 @@ def tensors():
 def every_torque(w, n, table):
     t = fa.torques
     return t.Sum([
-        t.Constant(w), t.ConstantInertial(w), t.Damping(n), t.AxisDamping(w),
-        t.QuadraticDamping(n), t.GravityGradient(n), t.KeplerGravityGradient(n, 0.5 * n),
-        t.GravityGradientAt(w, n), t.HeavyTop(w, n), t.MagneticDipole(w, w),
-        t.QuaternionPD(n[:, None, None], n[:, None, None]), t.Rotor(w), t.Sampled(table, 0.5),
+        t.Constant(w), t.ConstantInertial(w), t.Damping(n[:, None]), t.Damping(w),
+        t.QuadraticDamping(n), t.GravityGradient(n), t.GravityGradientAt(w, n), t.HeavyTop(w, n),
+        t.MagneticDipole(w, w), t.QuaternionPD(n[:, None, None], n[:, None, None]), t.Rotor(w),
+        t.Constant(fa.TimeSeries(0.5 * np.arange(7), table, kind="linear")),
         t.Custom(given_torque, w),
     ])  # fmt: skip
 
 
+OF_TUPLE = fa.torques.QuadraticDamping((0.1, 0.2, 0.3, 0.4, 0.5))
 # name: the scene of some arrays, and these
 SCENES = {
     "coning": (lambda a, f: fa.Scene(rate=fa.rates.Coning(a, f)), [vectors(), vectors()]),
@@ -59,10 +60,7 @@ SCENES = {
     "shared rate": (lambda p: fa.Scene(rate=given_rate, params=p), [np.array([0.1, 0.2])]),
     "moments": (lambda i: fa.Scene(inertia=i), [vectors(3)]),
     "tensors": (lambda i: fa.Scene(inertia=i), [tensors()]),
-    "a tuple for all bodies": (
-        lambda i: fa.Scene(inertia=i, torque=fa.torques.Damping((0.1, 0.2, 0.3, 0.4, 0.5))),
-        [vectors(3)],
-    ),
+    "a tuple for all bodies": (lambda i: fa.Scene(inertia=i, torque=OF_TUPLE), [vectors(3)]),
     "one tensor": (lambda i: fa.Scene(inertia=i), [tensors()[0]]),
     "every torque": (
         lambda i, *a: fa.Scene(inertia=i, torque=every_torque(*a)),
@@ -70,7 +68,7 @@ SCENES = {
     ),
     "shared inertia": (
         lambda c: fa.Scene(inertia=(1.0, 1.1, 0.9), torque=fa.torques.Damping(c)),
-        [vectors()],
+        [vectors(1)],
     ),
     "own torque": (
         lambda i, p: fa.Scene(inertia=i, torque=given_torque, params=p),
@@ -175,11 +173,11 @@ def test_scenes_of_equal_numbers_are_equal(name):
 
 
 def test_numbers_are_equal_whatever_holds_them():
-    torque = fa.torques.AxisDamping((0.0, 1, 2))
+    torque = fa.torques.Damping((0.0, 1, 2))
     one = fa.Scene(inertia=(1, 2, 2), torque=torque)
     for kind in (list, np.array, np.float32):
         other = replace(one, inertia=kind([1.0, 2.0, 2.0]), torque=replace(
-            torque, coefficients=kind([-0.0, 1.0, 2.0])
+            torque, coefficient=kind([-0.0, 1.0, 2.0])
         ))  # fmt: skip
         assert other == one
         assert hash(other) == hash(one)
@@ -229,18 +227,9 @@ NOTHING = np.zeros((0, 3))
 EMPTY = [
     (lambda: fa.Scene(inertia=NOTHING), "inertia: has shape (0, 3) and is empty; accepted: (3,)"),
     (lambda: fa.Scene(inertia=np.zeros((0, 3, 3))), "inertia: has shape (0, 3, 3) and is empty"),
-    (
-        lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)),
-        "rate: Constant.w has shape (0, 3) and is empty; accepted are (3,) and (N, 3)",
-    ),
-    (
-        lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)),
-        "rate: Coning.angle has shape (0,) and is empty; accepted are () and (N,)",
-    ),
-    (
-        lambda: fa.Scene(rate=given_rate, params=np.zeros((0, 2))),
-        "params: has shape (0, 2) and is empty; accepted are (P,) and (N, P)",
-    ),
+    (lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)), "Constant.w has shape (0, 3) and is empty"),
+    (lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)), "Coning.angle has shape (0,) and is empty"),
+    (lambda: fa.Scene(rate=given_rate, params=NOTHING), "params: has shape (0, 3) and is empty"),
     (
         lambda: fa.Scene(inertia=(1, 1, 1), mass=[], force=(0, 0, 1)),
         "mass: has shape (0,) and is empty; accepted: a number or (N,), kg",
@@ -254,7 +243,7 @@ EMPTY = [
 ]
 
 
-@pytest.mark.parametrize(("make", "message"), EMPTY)
+@each(("make", "message"), EMPTY)
 def test_a_scene_of_no_bodies_is_refused(make, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         make()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numba import config, njit
+from numba import njit
 from oracle import EPS
 from test_scalar import MACHINE, SINGLE, TABLE, looked_up
 
@@ -48,16 +48,6 @@ def test_rows_of_derivatives():
     true = [[single(tuple(row), (2.0,)) for row in rows] for rows in x.tolist()]
     for a, b in zip(found, range(3), strict=True):
         assert a.tolist() == np.array([[row[b] for row in rows] for rows in true]).tolist()
-
-
-def test_rows_without_a_compiler(monkeypatch):
-    x = np.random.default_rng(1).normal(size=(5, 3))
-    arguments = {"x": 3, "p": 1}, (4, 12, None)
-    compiled = RowFunction(derived, *arguments)(x, (2.0,))
-    monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(RowFunction(derived, *arguments)(x, (2.0,)), compiled, strict=True):
-        assert a.shape == b.shape
-        assert np.abs(a - b).max() <= 8 * EPS
 
 
 # steps in a loop
@@ -113,7 +103,7 @@ def test_a_recurrence_is_its_steps_written_out(kind):
     assert {type(x) for x in graph.flattened(found)} == {kind}
 
 
-def test_a_recurrence_without_a_compiler_and_over_rows(monkeypatch):
+def test_a_recurrence_over_rows():
     u = np.random.default_rng(2).normal(size=(3, 3))
     arguments = LOOPED, {"u": 3, "k": None, "start": 4}, (4, 12, None, None)
     given = u, *SPUN[1:]
@@ -123,14 +113,6 @@ def test_a_recurrence_without_a_compiler_and_over_rows(monkeypatch):
         assert [x[i].tolist() for x in rows[2:]] == [9.0, 2.0]
         one = single(tuple(u[i].tolist()), *SPUN[1:])
         assert [list(x[i]) for x in rows[:2]] == [list(x) for x in one[:2]]
-    monkeypatch.setattr(config, "DISABLE_JIT", True)
-    for a, b in zip(RowFunction(*arguments)(*given), rows, strict=True):
-        assert np.abs(a - b).max() <= 16 * EPS
-    plain = scalar_function(LOOPED)(*SPUN)
-    assert (
-        np.abs(np.subtract(graph.flattened(plain), graph.flattened(single(*SPUN)))).max()
-        <= 16 * EPS
-    )
 
 
 def test_a_recurrence_finds_tables_and_opaque_functions():
@@ -196,12 +178,6 @@ def test_a_fold_is_the_steps_of_each_log():
         assert (folded(n, threads)[0] == found[:n]).all()
 
 
-def test_a_fold_without_a_compiler(monkeypatch):
-    compiled = folded(5)[0]
-    monkeypatch.setattr(config, "DISABLE_JIT", True)
-    assert np.abs(folded(5)[0] - compiled).max() <= 16 * EPS
-
-
 def test_a_fold_refuses_a_step_to_another_state():
     with pytest.raises(ValueError, match="function: gives 1 numbers; accepted: 2"):
         LogFunction(lambda x, w: x[0] * w[0], 2, {"w": 1}, {})(
@@ -213,10 +189,7 @@ def test_a_fold_refuses_a_step_to_another_state():
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])
-@pytest.mark.parametrize("jit", [True, False])
-def test_in_place(n, jit, monkeypatch):
-    monkeypatch.setattr(config, "DISABLE_JIT", not jit)
-
+def test_in_place(n):
     def moved(x, y, k):
         return axpy(k[0], y, x), x[0]
 

@@ -1,13 +1,10 @@
-"""A user's functions: traced where they are straight lines, compiled or called back where not."""
+"""A user's functions: traced where they are straight lines, compiled where not."""
 
 import ctypes
 import gc
 import linecache
 import math
 import random
-import subprocess
-import sys
-import textwrap
 import weakref
 
 import numpy as np
@@ -19,6 +16,7 @@ import fastatt as fa
 from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.modules import generated
 from fastatt.tracing import called, source, user
+from fastatt.tracing.called import ENTRY
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Double, Graph
 from fastatt.tracing.nodes import TraceError
@@ -188,15 +186,22 @@ def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
     """Once a tile and step, in each form of the step, for all; else each body asks."""
     times = []
 
-    def noting(t, p):
-        times.append(t)
+    def winding(t, p):
         return until(t, p)
 
+    def called_back(function, user):
+        @ENTRY
+        def entry(given, made):
+            times.append(given[0])
+            made[0], made[1], made[2] = function(given[0], (given[1], given[2]))
+
+        entry.address = ctypes.cast(entry, ctypes.c_void_p).value
+        return entry
+
+    monkeypatch.setattr("fastatt.tracing.user.compiled", called_back)
     n, params = 64, (20.0, 20.0)
-    with monkeypatch.context() as patch:
-        patch.setattr("numba.config.DISABLE_JIT", True)  # it is called back
-        numbers = np.outer(np.linspace(1.0, 1.1, n), params) if own else params
-        scene = fa.Scene(rate=noting, params=numbers)
+    numbers = np.outer(np.linspace(1.0, 1.1, n), params) if own else params
+    scene = fa.Scene(rate=winding, params=numbers)
     q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
     times.clear()
     with pytest.warns(fa.StepWarning):
@@ -480,60 +485,6 @@ def calls_nowhere(t, p):
     x = 2.0 * t
     y = nowhere(t)  # noqa: F821
     return x, y, t
-
-
-# without Numba's compiler
-
-SCRIPT = """
-    import math, numpy as np
-    from numba import njit
-    from fastatt.tracing.user import user_function
-
-    @njit
-    def straight(t, p):
-        return math.sqrt(t), p[0] if t > 1.0 else t, 0.0
-
-    @njit
-    def until(t, p):
-        while t > p[0]:
-            t -= 1.0
-        return t, p[0], 1.0 / p[1]
-
-    def two(t, p):
-        return t, t
-
-    def beyond(t, p):
-        return p[5], t, t
-
-    assert user_function(straight, "rate", 1).straight
-    made = user_function(until, "rate", 2)
-    assert not made.straight
-    assert made.call(2.5, (1.0, 4.0)) == (0.5, 1.0, 0.25)
-    assert np.isnan(made.call(2.5, (1.0, 0.0))).all()
-    for function in (two, beyond, 3.0):
-        try:
-            user_function(function, "rate", 1)
-        except TypeError as error:
-            print(error)
-"""
-
-
-def test_without_numbas_compiler(tmp_path):
-    (tmp_path / "script.py").write_text(textwrap.dedent(SCRIPT))
-    run = subprocess.run(
-        [sys.executable, str(tmp_path / "script.py")],
-        env={"NUMBA_DISABLE_JIT": "1", "PATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert not run.stderr
-    first, second, third = run.stdout.splitlines()
-    assert first == (
-        "rate: two(t, p) returns (0.0, 0.0); accepted is a tuple of three floats, rad/s"
-    )
-    assert second.startswith("rate: beyond(t, p) raises IndexError: tuple index out of range (")
-    assert third == "rate: found 3.0; accepted: a function rate(t, p)"
 
 
 class Settings:

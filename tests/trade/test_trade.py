@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ import fastatt as fa
 from fastatt.cli import main
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.rounding import StepWarning
-from fastatt.trade import ensembles, recordings, run
-from fastatt.trade.ensembles import BODY_SCENES, coning_rates
+from fastatt.trade import ensembles, long_run, summary
+from fastatt.trade.ensembles import BODY_SCENES, SCENES, coning_rates
+from fastatt.trade.long_run import Drifted
 from fastatt.trade.measure import (
     Case,
     Problem,
@@ -31,12 +31,13 @@ from fastatt.trade.reference import coning_attitudes
 # few, as compiling is what takes the time: a step that turns, one that does not, one for samples
 CONING = [Case("lie_midpoint"), Case("rk4"), Case("previous")]
 # of two families, one of them the reference's
-BODIES = {"free": ("dmv10", "exact"), "top": ("rk8", "suzuki4"), "torqued": ("rk8", "rkmk4")}
+BODIES = {"free": ("dmv10", "exact"), "top": ("rk8", "kahan_li8"), "torqued": ("rk8", "rkmk4")}
 
 
 @pytest.fixture(scope="module")
 def coning():
-    return ensembles.study("coning", 32).rows(CONING, (120, 240), repeats=1)
+    study = ensembles.study("coning", 32)
+    return [row for case in CONING for row in study.rows(case, (120, 240), repeats=1)]
 
 
 @pytest.fixture(scope="module", params=BODIES)
@@ -51,44 +52,25 @@ def bodies(name):
 
 @pytest.fixture(scope="module")
 def body_rows(name, bodies):
-    return bodies.rows([Case(method) for method in BODIES[name]], (50, 100), repeats=1)
+    cases = [Case(method) for method in BODIES[name]]
+    return [row for case in cases for row in bodies.rows(case, (50, 100), repeats=1)]
 
 
-def test_all_of_coning_is_planned():
-    sampled = [Case(method) for method in methods_for_samples()]
-    cases = ensembles.cases("coning")
-    given, last = cases[: -len(sampled)], cases[-len(sampled) :]
-    assert last == sampled
-    found = [(c.method, c.representation) for c in given if c.dtype == "float64"]
-    scene = fa.Scene(rate=fa.rates.Coning(1.0, 1.0))
-    fitting = [(m, r) for m in fa.methods_for(scene) for r in fa.METHODS[m].representations]
-    assert found == fitting
-    assert [c.method for c in given if c.dtype == "float32"] == fa.methods_for(scene)
-
-
-@pytest.mark.parametrize("scene", BODY_SCENES)
-def test_every_method_of_a_body_scene_is_planned(scene):
+@pytest.mark.parametrize("scene", SCENES)
+def test_every_method_is_planned_on_quaternions_and_matrices(scene):
     cases = ensembles.cases(scene)
-    plain = [c.method for c in cases if c == Case(c.method)]
-    assert plain == fa.methods_for(BODY_SCENES[scene])
-    for case in cases:
-        assert case.representation in fa.METHODS[case.method].representations
-    assert {(c.representation, c.dtype) for c in cases} == {
-        ("quat", "float64"),
-        ("dcm", "float64"),
-        ("quat", "float32"),
-    }
-
-
-def test_only_general_methods_take_the_torqued_scene():
-    assert {fa.METHODS[m].takes for m in fa.methods_for(BODY_SCENES["torqued"])} == {
-        fa.torques.Dependence.RATE
-    }
+    if scene == "samples":
+        assert cases == [Case(method) for method in methods_for_samples()]
+        return
+    fitting = fa.methods_for(ensembles.problem(scene, 2).ensemble.scene)
+    assert [c.method for c in cases if c.representation == "quat"] == fitting
+    assert [c for c in cases if c.representation == "dcm"] == [
+        Case(m, "dcm") for m in fitting if "dcm" in fa.METHODS[m].representations
+    ]
 
 
 def test_rows_of_coning(coning):
     assert [r.method for r in coning[::2]] == [c.method for c in CONING]
-    assert [r.input for r in coning[::2]] == ["rate function", "rate function", "samples"]
     for row in coning:
         assert row.rate_error_median is None
         assert row.energy_drift_max is None
@@ -108,7 +90,7 @@ def test_reference_is_confirmed(bodies):
     assert bodies.check.apart.shape == (6,)
     assert bodies.check.apart.max() < 2e-12
     assert bodies.known.own_error.max() < 1e-12
-    text = bodies.heading
+    text = str(bodies)
     assert text.startswith("6 ")
     assert " over 10 s; reference: " in text
     assert f"{bodies.check.apart.max():.1e} rad (worst)" in text
@@ -125,7 +107,7 @@ def test_reference_solves_the_scene(name, bodies):
 def test_rows_of_bodies(name, body_rows):
     stepped = [r for r in body_rows if r.method != "exact"]
     assert [r.method for r in stepped] == [m for m in BODIES[name] if m != "exact" for _ in "12"]
-    keeps_momentum, keeps_energy = name == "free", name != "torqued"
+    keeps_momentum = keeps_energy = name != "torqued"
     for row in body_rows:
         assert row.input == name
         assert (row.momentum_drift_max is not None) == keeps_momentum
@@ -161,9 +143,12 @@ def test_measured_errors_are_those_of_the_library():
     assert row.status == ""
 
 
-def ladder(case, *errors):
-    rows = [row_of("", case, 1.0, 10 * 2**i, 1.0, np.array([e])) for i, e in enumerate(errors)]
-    return with_orders(rows, case, 4)
+def ladder(case, *errors, refined=2, own=0.0):
+    steps = [10 * refined**i for i in range(len(errors))]
+    rows = [
+        row_of("", case, 1.0, n, 1.0, np.array([e])) for n, e in zip(steps, errors, strict=True)
+    ]
+    return with_orders(rows, case, 4, own)
 
 
 def test_orders_stop_at_round_off():
@@ -178,11 +163,7 @@ def test_orders_stop_at_round_off():
 
 def test_a_plateau_of_the_reference_is_named():
     """It is good to 1e-11 rad: at smaller differences it says nothing of the method."""
-    errors = 1.6e-3, 1e-4, 6e-6, 3e-11, 1e-12
-    rows = [
-        row_of("", Case("rk4"), 1.0, 10 * 4**i, 1.0, np.array([e])) for i, e in enumerate(errors)
-    ]
-    rows = with_orders(rows, Case("rk4"), 4, 1e-11)
+    rows = ladder(Case("rk4"), 1.6e-3, 1e-4, 6e-6, 3e-11, 1e-12, refined=4, own=1e-11)
     assert [r.plateau for r in rows] == ["", "", "", "", "reference"]
     assert rows[-1].order is None
 
@@ -196,16 +177,99 @@ def test_a_low_order_is_no_plateau():
 
 def test_frontier_falls(coning):
     best = frontier(coning)
-    times = [r.seconds_per_body for r in best]
-    errors = [r.error_median for r in best]
+    times, errors = [r.seconds_per_body for r in best], [r.error_max for r in best]
     assert times == sorted(times)
     assert errors == sorted(errors, reverse=True)
-    beaten = [r for r in coning if r not in best]
-    for r in beaten:
-        assert any(
-            b.seconds_per_body <= r.seconds_per_body and b.error_median <= r.error_median
-            for b in best
-        )
+    for r in coning:
+        behind = [
+            t <= r.seconds_per_body and x <= r.error_max for t, x in zip(times, errors, strict=True)
+        ]
+        assert r in best or any(behind)
+
+
+def point(method, seconds, error, **options):
+    row = row_of("free", Case(method), 1.0, 10, seconds, np.array([error]), norm_error_max=1e-15)
+    return replace(row, **options)
+
+
+def test_rounding_and_flags_rank_nothing():
+    rows = [
+        point("rk4", 1.0, 2.15e-13, plateau="round-off"),
+        point("rk8", 2.0, 2.11e-13, plateau="round-off"),
+        point("rk9", 3.0, 2.0e-14, plateau="round-off"),
+        point("gbs16", 0.5, 1e-15, status="NORM_LOST 1"),
+        point("cf4", 4.0, 1.9e-14),
+    ]
+    assert [r.method for r in frontier(rows)] == ["rk4", "rk9"]
+    plain = [point("rk4", 1.0, 2.15e-9), point("rk8", 2.0, 2.11e-9)]
+    assert frontier(plain) == plain
+
+
+def test_steppers_are_ranked_without_the_closed_form():
+    rows = [
+        point("exact", 0.1, 1e-14), point("rk4", 2.0, 5e-4), point("rk8", 1.0, 2e-4),
+        point("rk8", 3.0, 1e-7), point("rk9", 0.2, 1e-5, status="STEP_TOO_LARGE 1"),
+    ]  # fmt: skip
+    assert [r.method for r in summary.fastest(rows, 1e-3)] == ["rk8", "rk4"]
+    assert [r.seconds_per_body for r in summary.fastest(rows, 1e-6)] == [3.0]
+    assert summary.closed_form(rows) is rows[0]
+
+
+def test_ladders_begin_where_a_method_allows_it_on_one_grid():
+    study = ensembles.study("free", 4)
+    one, other = (study.steps(Case(method), 2) for method in ("kahan_li8", "gbs16"))
+    assert one[0] > other[0]
+    assert set(one) < set(other)
+    assert {50, 400} < set(one)  # steps of 0.2 and 0.025 s, for the tables
+    limit = 0.9 * fa.METHODS["kahan_li8"].limit("quat")
+    assert np.linalg.norm(study.problem.ensemble.w0, axis=1).max() * 10.0 / one[0] <= limit
+
+
+@pytest.mark.parametrize(
+    ("power", "law"), [(0.0, "bounded"), (0.5, "random walk"), (1.0, "linear"), (2.0, "faster")]
+)
+def test_growth_is_named(power, law):
+    steps = np.unique(np.geomspace(128, 2**17, 41).astype(int))
+    assert long_run.growth(steps, 1e-15 * steps**power) == law
+    assert long_run.growth(steps, 0.0 * steps) == "bounded"
+
+
+def test_drifts_of_long_runs_are_those_of_the_library():
+    problem = ensembles.problem("free", 4)
+    points = long_run.long_run("free", problem, Case("rk4", "dcm"), 4096)
+    found = {x.quantity: x for x in long_run.ends(points)}
+    assert list(found) == ["norm", "energy", "momentum"]
+    e, dt = problem.ensemble, found["energy"].dt
+    assert np.linalg.norm(e.w0, axis=1).max() * dt == pytest.approx(long_run.ANGLE)
+    n = found["energy"].n_steps
+    traj = fa.propagate(
+        e.scene, e.q0, e.w0, dt=dt, n_steps=n, save_every=n, method="rk4", representation="dcm"
+    )
+    drift = fa.drift(traj, e.scene)
+    for name, values in (("norm", drift.orthogonality), ("energy", drift.energy)):
+        assert found[name].drift == pytest.approx(np.sqrt(np.mean(values[-1] ** 2)), rel=1e-6)
+        assert found[name].growth == "linear"
+
+
+def test_the_screen_is_one_screen():
+    """With every scene, error and method: 40 lines of 100 columns, with the run's own two."""
+    rows = [
+        replace(point(m, 1e-6 * (k + 2), 1e-13), input=scene, representation=r, dtype="float64")
+        for scene in SCENES
+        for r in ("quat", "dcm")
+        for k, m in enumerate(["exact", "lie_midpoint", "kahan_li8"])
+    ]
+    long = [
+        Drifted(scene, method, "quat", quantity, 0.1, 2**18, 1e-12, "random walk", "")
+        for scene in SCENES
+        for quantity in ("norm", "energy", "momentum")
+        for method in fa.METHODS
+        if scene in ("free", "top", "coning") and len(method) < 11
+    ]
+    lines = summary.screen(rows, long).splitlines()
+    assert max(map(len, lines)) <= 100
+    table = [line for line in lines if " lie_midpoint " in line]
+    assert len(table) == 4 * len(SCENES)
 
 
 def test_table_leaves_out_what_no_row_has(coning, body_rows):
@@ -227,79 +291,51 @@ def test_exact_attitudes_obey_the_rates():
     assert np.abs(w - coning_rates(angle, frequency, t).swapaxes(0, 1)).max() < 1e-11
 
 
-def test_recordings_are_found_and_agree_with_their_maker():
-    paths = recordings.find_recordings()
-    assert len(paths) == len(recordings.RECORDINGS)
-    log = fa.read_gyro_log(paths[0], unit="rad/s")
-    assert (len(log.rates), log.rate) == (953, 50.0)
-    names = ("hold", "previous", "coning3")
-    rows = {r.method: r for r in recordings.log_rows(log, repeats=1, methods=names)}
-    # the maker's filter corrects the gyro's bias by gravity and north: some degrees in 19 s
-    assert 0.5 < rows["coning3"].maker_difference_max < 10.0
-    assert rows["coning3"].difference_max == 0.0
-    assert 0.0 < rows["previous"].difference_max < rows["hold"].difference_max
-
-
-def test_a_log_is_compared_with_every_method(monkeypatch):
-    log = fa.read_gyro_log(recordings.find_recordings()[0], unit="rad/s")
-    monkeypatch.setattr(recordings, "integrate_rates", still)
-    assert [r.method for r in recordings.log_rows(log, 1)] == methods_for_samples()
-    monkeypatch.setattr(recordings, "error_budget", lambda *a, **k: k["rivals"])
-    table = recordings.compare_on_log(log, "hold", methods=["trapezoid"])
-    _head, *lines, budget = table.splitlines()
-    compared = ["trapezoid", "hold", "previous", "coning2"]
-    assert [line.split()[1] for line in lines] == compared
-    assert budget == str(compared)
-    short = replace(log, rates=log.rates[:20], t=log.t[:20], attitudes=None)
-    assert "20 samples: too few to tell" in recordings.compare_on_log(short, "hold")
-
-
-def still(rates, dt, q0, **options):
-    return np.tile(q0, (len(rates), 1))
-
-
 def table(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_run_leaves_its_files(tmp_path, capsys, coning, monkeypatch):
-    monkeypatch.setattr(ensembles.Study, "rows", lambda *a, **k: coning)
-    logs, methods = recordings.find_recordings()[:1], ["lie_midpoint", "rk4", "hold", "coning3"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", StepWarning)
-        warnings.simplefilter("ignore", fa.GyroLogWarning)  # the recording names no unit
-        run.run_trade(tmp_path, n_bodies=32, quick=True, logs=logs, methods=methods)
-    names = {"recordings.csv", "recordings.png", "trade.csv", "trade.png"}
-    assert {p.name for p in tmp_path.iterdir()} == names
+FILES = {"summary.md", "trade.csv", "drift.csv"}
+
+
+def test_command_runs_a_rate_and_samples(tmp_path, capsys):
+    arguments = ["--scene", "coning", "--scene", "samples", "--methods", "rk4,magnus4,previous"]
+    assert main(["trade", "--quick", "--bodies", "6", "--out", str(tmp_path), *arguments]) == 0
+    pictures = {"error-coning.png", "drift-coning.png", "error-samples.png"}
+    assert {p.name for p in tmp_path.iterdir()} == FILES | pictures
     found = table(tmp_path / "trade.csv")
-    assert len(found) == len(coning)
-    assert float(found[0]["error_median"]) == coning[0].error_median
-    assert {r["method"] for r in table(tmp_path / "recordings.csv")} == {"hold", "coning3"}
-    for name in ("recordings.png", "trade.png"):
-        assert (tmp_path / name).stat().st_size > 10_000
+    assert {(r["input"], r["method"]) for r in found} == {
+        ("coning", "rk4"), ("coning", "magnus4"), ("samples", "previous"),
+    }  # fmt: skip
+    assert {r["quantity"] for r in table(tmp_path / "drift.csv")} == {"norm"}
     text = capsys.readouterr().out
-    assert "Frontier, rate as samples" in text
-    # a line of the report, no warning of Python's
-    assert "\ndata_xsens.txt: dt: interval 576 of log 0 rotates by 0.101 rad, hold's limit" in text
+    assert len(text.splitlines()) <= 40
+    assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 100
+    assert f"{tmp_path}: summary.md (how to read this)" in text
+    page = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    assert summary.COLUMNS in page
+    assert "## samples" in page
 
 
 @pytest.mark.parametrize("scene", BODY_SCENES)
 def test_command_runs_body_scenes(tmp_path, capsys, scene):
     methods = BODIES[scene]
     arguments = ["--scene", scene, "--quick", "--bodies", "6", "--methods", ",".join(methods)]
-    assert main(["trade", "--out", str(tmp_path), *arguments]) == 0
-    assert {p.name for p in tmp_path.iterdir()} == {"bodies.csv", "bodies.png"}
-    found = table(tmp_path / "bodies.csv")
+    assert main(["trade", "--verbose", "--out", str(tmp_path), *arguments]) == 0
+    pictures = {f"error-{scene}.png", f"drift-{scene}.png"}
+    assert {p.name for p in tmp_path.iterdir()} == FILES | pictures
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
+    found = table(tmp_path / "trade.csv")
     assert {(r["input"], r["method"]) for r in found} == {(scene, m) for m in methods}
-    assert {(r["representation"], r["dtype"]) for r in found} == {("quat", "float64")}
-    assert (tmp_path / "bodies.png").stat().st_size > 10_000
-    text = capsys.readouterr().out
-    assert "reference: " in text
-    assert "Frontier, " in text
+    kinds = {(r["representation"], r["dtype"]) for r in found}
+    assert kinds == {("quat", "float64"), ("dcm", "float64")}
+    assert "reference: " in capsys.readouterr().out
+    assert "The fastest way to each error" in (tmp_path / "summary.md").read_text("utf-8")
+    kept = {"norm"} if scene == "torqued" else {"norm", "energy", "momentum"}
+    assert {r["quantity"] for r in table(tmp_path / "drift.csv")} == kept
 
 
-def test_missing_recordings(monkeypatch):
-    monkeypatch.setattr(recordings.metadata, "files", lambda name: [])
-    with pytest.raises(ImportError, match=r"fastatt\[trade\]"):
-        recordings.find_recordings()
+def test_the_page_says_how_to_read_the_results():
+    page = Path(fa.__file__).parent / "docs" / "explanations" / "trade.md"
+    assert summary.COLUMNS in page.read_text(encoding="utf-8")

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import csv
-import json
-import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from each import each
 
 import fastatt as fa
-from fastatt.attitudes import ATTITUDES
-from fastatt.codegen import modules
-from fastatt.codegen.processor import processor
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.ladder import see
 from fastatt.trade.measure import Case, Problem, measure
-from fastatt.trade.peak import CHAINS, UNROLLED, chains, peak
 from fastatt.trade.reference import confirm, reference
 from fastatt.trade.work_precision import cases_of, spread
 
@@ -44,17 +38,8 @@ def coning():
 
 @pytest.fixture(scope="module")
 def free():
-    return fa.work_precision(
-        FREE,
-        Q0,
-        W0,
-        t_end=T_END,
-        methods=["rk4", "exact"],
-        dtypes=["float64"],
-        repeats=1,
-        sample=32,
-        max_seconds=10.0,
-    )
+    options = {"methods": ["rk4", "exact"], "dtypes": ["float64"], "sample": 32}
+    return fa.work_precision(FREE, Q0, W0, t_end=T_END, repeats=1, max_seconds=10.0, **options)
 
 
 @pytest.mark.parametrize("method", ["lie_midpoint", "rk4", "magnus4", "magnus6"])
@@ -82,7 +67,7 @@ def test_errors_are_those_of_the_library(coning):
 
 def test_frontier_is_monotone(coning):
     best = coning.frontier
-    times, errors = [r.seconds_per_body for r in best], [r.error_median for r in best]
+    times, errors = [r.seconds_per_body for r in best], [r.error_max for r in best]
     assert times == sorted(times)
     assert errors == sorted(errors, reverse=True)
 
@@ -103,15 +88,17 @@ def test_the_files_hold_the_rows(free, tmp_path):
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(r["error_max"]) for r in rows] == [r.error_max for r in free.rows]
-    free.to_json(tmp_path / "a.json")
-    found = json.loads((tmp_path / "a.json").read_text())
-    assert {"processor", "threads", "python", "numba", "numpy"} <= set(found["machine"])
-    assert found["reference"] == free.reference
-    assert len(found["rows"]) == len(rows)
     free.plot(tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    assert "Frontier" in str(free)
     assert "µs/body" in free.table()
+
+
+def test_what_is_printed_is_a_summary(free):
+    text = str(free)
+    assert f"{len(free.rows)} rows (table() has all); the fastest at 1e-03, " in text
+    assert len(text.splitlines()) <= 10
+    assert max(map(len, text.splitlines()[3:])) <= 100
+    assert "exact" in text
 
 
 # references
@@ -149,7 +136,8 @@ def test_the_reference_stops_at_its_goal():
 def pushed(n):
     """A history of torques with n intervals over the time."""
     torque = np.random.default_rng(5).normal(scale=0.3, size=(n + 1, 3))
-    return fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(torque, T_END / n))
+    table = fa.TimeSeries(np.linspace(0.0, T_END, n + 1), torque, kind="linear")
+    return fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Constant(table))
 
 
 @pytest.mark.parametrize(
@@ -164,9 +152,8 @@ def test_a_reference_knows_the_times_of_a_runs_steps(scene, n):
     count = n if n <= 1024 else 1024 + -(-n // 3)
     assert len(seen.times) == len(seen.q) == count
     assert seen.times[-1] == pytest.approx(T_END, rel=1e-15)
-    fine = see(
-        whole, Case("magnus6" if scene is CONING else "rk8"), n, 1024, -(-4000 // (50 * n)) * 50
-    )
+    finer = Case("magnus6" if scene is CONING else "rk8")
+    fine = see(whole, finer, n, 1024, -(-4000 // (50 * n)) * 50)
     assert fa.angle_between(fine.q, known.at(seen.times)).max() < 1e-12
     assert fa.angle_between(known.at(seen.times)[-1], known.end.q).max() < 1e-12
 
@@ -211,35 +198,30 @@ def test_the_extremes_are_in_the_sample():
     assert spread(whole, 1000, np.random.default_rng(2)).size == 1000
 
 
-MODELS = {
-    "inertia": GRADIENT,
-    "tensors": fa.Scene(inertia=np.eye(3) * RNG.uniform(1, 2, (N, 1, 1))),
-    "shared tensor": fa.Scene(inertia=np.diag([2.0, 1.5, 1.0])),
-    "sum": fa.Scene(
-        inertia=(2.0, 1.0, 1.5),
-        torque=fa.torques.Sum(
-            (fa.torques.Damping(RNG.uniform(0, 1, N)), fa.torques.Constant((0.1, 0.2, 0.3)))
-        ),
-    ),
-    "history": fa.Scene(inertia=(2.0, 1.0, 1.5), torque=fa.torques.Sampled(np.ones((N, 3)), 0.1)),
-    "polynomial": fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(N, 4, 3)))),
-    "shared polynomial": fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(4, 3)))),
-    "sinusoidal": fa.Scene(
-        rate=fa.rates.Sinusoidal(RNG.normal(size=(N, 3)), (1.0, 1.0, 1.0), (1.0, 2.0, 3.0)),
-        frame="inertial",
-    ),
-    "moving": fa.Scene(
+BODY = {"inertia": (2.0, 1.0, 1.5)}
+TORQUES = fa.torques.Damping(RNG.uniform(0, 1, (N, 1))), fa.torques.Constant((0.1, 0.2, 0.3))
+HISTORY = fa.TimeSeries(0.1 * np.arange(N), np.ones((N, 3)), kind="linear")
+WAVE = fa.rates.Sinusoidal(RNG.normal(size=(N, 3)), (1.0, 1.0, 1.0), (1.0, 2.0, 3.0))
+MODELS = [
+    GRADIENT,
+    fa.Scene(inertia=np.eye(3) * RNG.uniform(1, 2, (N, 1, 1))),
+    fa.Scene(inertia=np.diag([2.0, 1.5, 1.0])),
+    fa.Scene(**BODY, torque=fa.torques.Sum(TORQUES)),
+    fa.Scene(**BODY, torque=fa.torques.Constant(HISTORY)),
+    fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(N, 4, 3)))),
+    fa.Scene(rate=fa.rates.Polynomial(RNG.normal(size=(4, 3)))),
+    fa.Scene(rate=WAVE, frame="inertial"),
+    fa.Scene(
         inertia=RNG.uniform(1, 1.2, (N, 3)),
         mass=RNG.uniform(1, 2, N),
         force=RNG.normal(size=(N, 3)),
     ),
-}
+]
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_chosen_bodies_keep_their_own_numbers(name):
+@each("scene", MODELS)
+def test_chosen_bodies_keep_their_own_numbers(scene):
     """The parameters that the engine gets are the rows of those of all."""
-    scene = MODELS[name]
     w0 = None if scene.kind == "rate" else W0
     rows = np.array([5, 0, 41])
     few = Ensemble(scene, Q0, w0).take(rows)
@@ -279,20 +261,6 @@ def test_methods_of_ones_own_stand_beside_names():
     assert "ralston3" in found.table()
 
 
-def test_an_attitude_of_ones_own_is_measured():
-    """The library's quaternions under another name: the same errors."""
-    mine = replace(ATTITUDES["quat"], name="mine")
-    both = cases_of(CONING, ["rk4", "magnus4"], ["quat", mine], ["float64"])
-    assert [str(case) for case in both[::2]] == ["rk4 (quat, float64)", "magnus4 (quat, float64)"]
-    end = reference(problem(CONING, None)).end
-    for plain, own in zip(both[::2], both[1::2], strict=True):
-        assert str(own) == f"{plain.method} (mine, float64)"
-        rows = [measure(problem(CONING, None), end, case, 40, repeats=1) for case in (plain, own)]
-        assert rows[0].error_median == rows[1].error_median
-        assert rows[0].error_max == rows[1].error_max
-        assert rows[0].operations == rows[1].operations
-
-
 def test_what_stands_twice_or_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="methods: found 'rk4' twice; accepted: different names"):
         cases_of(CONING, ["rk4", "rk4"], ["quat"], ["float64"])
@@ -302,29 +270,11 @@ def test_what_stands_twice_or_does_not_fit_is_refused():
     assert cases_of(FREE, [fa.METHODS["rk4"]], ["quat"], ["float64"]) == [Case("rk4")]
 
 
-def test_operations_and_their_part_of_the_peak(coning):
+def test_operations(coning):
     for row in coning.rows:
-        name = row.method
-        text = inspect_step(CONING, name).splitlines()[0]
+        text = inspect_step(CONING, row.method).splitlines()[0]
         assert f": {row.operations} floating-point operations a step" in text
-        speed = row.operations * row.steps_per_second
-        cores = speed / row.peak / peak("double")
-        assert cores == pytest.approx(1.0)  # of 48 bodies, which one thread takes
     assert "ops/step" in coning.table()
-    assert "% of peak" in coning.table()
-
-
-@pytest.mark.skipif(not processor().fuses, reason="a processor without fused operations")
-@pytest.mark.parametrize("kind", ["double", "single"])
-def test_the_peak_is_of_fused_operations_in_registers(kind, monkeypatch):
-    """At least what a chain in each lane gives, and no more than 8 fma units of 512 bits do."""
-    lanes = processor().lanes(kind)
-    assert 0.1e9 * lanes < peak(kind) < 8 * 2 * lanes * 7e9
-    monkeypatch.setattr(modules, "folder", lambda: None)  # Numba does not inspect cached code
-    code = chains.__wrapped__(kind)[0].inspect_llvm()
-    fused = f"llvm.fma.v{lanes}f{64 if kind == 'double' else 32}("
-    calls = re.findall(rf"call <{lanes} x \w+> @{re.escape(fused)}", code)
-    assert len(calls) == CHAINS * UNROLLED
 
 
 def test_status_is_counted():

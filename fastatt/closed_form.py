@@ -1,0 +1,470 @@
+"""Closed forms of the motion of free bodies and heavy symmetric tops at any times.
+
+Their error does not accumulate over steps; it grows only with the rotation angle ``|w| t``.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from fastatt import checks, rounding
+from fastatt.attitudes import QUATERNION, Attitude
+from fastatt.codegen.processor import processor
+from fastatt.codegen.rows import RowFunction, kind_of
+from fastatt.scene import torques
+from fastatt.scene.inertia import EQUAL, Principal, about_arm, is_symmetric, principal, refuse
+from fastatt.scene.scene import Scene
+from fastatt.scene.torque_record import Torque
+from fastatt.threads import each_in_threads, number_of
+from fastatt.tracing import formulas
+from fastatt.tracing.graph import Graph, flattened
+
+__all__ = ["free_body", "heavy_top", "symmetric_top"]
+
+
+def free_body(
+    q0: ArrayLike,
+    w0: ArrayLike,
+    inertia: ArrayLike,
+    t: ArrayLike,
+    *,
+    allow_unphysical: bool = False,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    invalid: str = "raise",
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitude and angular velocity of torque-free bodies at any times, in closed form.
+
+    Parameters
+    ----------
+    q0 : array_like of shape (4,) or (N, 4)
+        Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
+    w0 : array_like of shape (3,) or (N, 3)
+        Angular velocities at t = 0 along body axes, rad/s.
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+        Principal moments in any order, or tensors, kg·m².
+    t : float or array_like of shape (T,)
+        Time or times, s, in any order and of either sign.
+    allow_unphysical : bool, default False
+        Accept positive moments that violate the triangle inequality, which no body has.
+    dtype : {float64, float32}, optional
+        Precision. The default is float32 if ``q0`` and ``w0`` are float32 arrays, and float64
+        otherwise.
+    n_threads : int, optional
+        Number of threads; the default is every processor that this process may use. Results do not
+        depend on it.
+    invalid : {"raise", "flag"}, default "raise"
+        "raise" refuses zero quaternions and values of ``q0`` and ``w0`` that are not finite. "flag"
+        returns NaN for these bodies alone.
+
+    Returns
+    -------
+    q : ndarray of shape (T, N, 4)
+        Unit quaternions, body to inertial, scalar first. The axis T is absent for one time, and the
+        axis N for one body.
+    w : ndarray of shape (T, N, 3)
+        Angular velocities along body axes, rad/s, with the same leading axes.
+
+    Raises
+    ------
+    ValueError
+        If an argument does not fit. The message names the argument and says what is accepted.
+    TypeError
+        If an argument has the wrong type.
+
+    Warns
+    -----
+    StepWarning
+        If ``|w| t`` is so large that half the digits of the precision are lost.
+
+    Notes
+    -----
+    In float64 the error of the attitude is at most 1e-15 (1 + ``|w| t``) rad, and that of w as much
+    relative to ``|w|``, for principal moments. This includes motions near the separatrix, where the
+    given numbers are taken as exact. In float32 errors are 1e9 times as large, and rotation within
+    1e-17 rad of the intermediate axis stays there.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> q, w = fa.closed_form.free_body([1, 0, 0, 0], [0.1, 0.3, -0.2], (2.0, 1.0, 2 / 3), 10.0)
+    >>> q.round(6)
+    array([-0.144152,  0.611716,  0.777667,  0.016067])
+    """
+    options = dtype, n_threads, invalid
+    body = principal(inertia, allow_unphysical=allow_unphysical)
+    _check_above_zero(body)
+    return _at_times(BodySolution(_FREE_BODY, body), q0, w0, t, options)
+
+
+def symmetric_top(
+    q0: ArrayLike,
+    w0: ArrayLike,
+    inertia: ArrayLike,
+    t: ArrayLike,
+    *,
+    allow_unphysical: bool = False,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    invalid: str = "raise",
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitude and angular velocity of torque-free bodies with two equal moments, in closed form.
+
+    The motion is a regular precession, which takes two exponentials and less time than
+    :func:`free_body`.
+
+    Parameters
+    ----------
+    q0 : array_like of shape (4,) or (N, 4)
+        Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
+    w0 : array_like of shape (3,) or (N, 3)
+        Angular velocities at t = 0 along body axes, rad/s.
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+        Principal moments, or tensors, kg·m². Two moments are equal within 1e-12 of the largest;
+        their mean is used.
+    t : float or array_like of shape (T,)
+        Time or times, s.
+    allow_unphysical : bool, default False
+        As in :func:`free_body`.
+    dtype : {float64, float32}, optional
+        As in :func:`free_body`.
+    n_threads : int, optional
+        As in :func:`free_body`.
+    invalid : {"raise", "flag"}, default "raise"
+        As in :func:`free_body`.
+
+    Returns
+    -------
+    q : ndarray of shape (T, N, 4)
+        Unit quaternions, as in :func:`free_body`.
+    w : ndarray of shape (T, N, 3)
+        Angular velocities along body axes, rad/s.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If no two moments are equal, or if an argument does not fit, as in :func:`free_body`.
+
+    Notes
+    -----
+    q(t) = exp(L t/A)∘q0∘exp(e (1/C − 1/A) m·e t), with the angular momentum L along inertial axes
+    and m along body axes, the axis of symmetry e, the moment C about it and the two equal moments
+    A.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> q, w = fa.closed_form.symmetric_top([1, 0, 0, 0], [0.1, 0.0, 2.0], (1.0, 1.0, 0.5), 10.0)
+    >>> q.shape, w.shape
+    ((4,), (3,))
+    """
+    options = dtype, n_threads, invalid
+    body = principal(inertia, allow_unphysical=allow_unphysical)
+    _check_above_zero(body)
+    refuse(
+        body.moments,
+        ~is_symmetric(body.moments),
+        f"no two moments are equal to {EQUAL:g} of the largest",
+        "a symmetric body, or free_body for any other",
+    )
+    return _at_times(BodySolution(_SYMMETRIC_TOP, body), q0, w0, t, options)
+
+
+def heavy_top(
+    q0: ArrayLike,
+    w0: ArrayLike,
+    inertia: ArrayLike,
+    t: ArrayLike,
+    *,
+    arm: ArrayLike,
+    weight: ArrayLike,
+    allow_unphysical: bool = False,
+    dtype: DTypeLike | None = None,
+    n_threads: int | None = None,
+    invalid: str = "raise",
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Attitude and angular velocity of heavy symmetric tops at any times, in closed form.
+
+    The torque is that of :class:`fastatt.torques.HeavyTop`.
+
+    Parameters
+    ----------
+    q0 : array_like of shape (4,) or (N, 4)
+        Attitudes at t = 0, body to inertial, scalar first, of any norm above zero.
+    w0 : array_like of shape (3,) or (N, 3)
+        Angular velocities at t = 0 along body axes, rad/s.
+    inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
+        Principal moments, or tensors, about the fixed point, kg·m². The moments about two axes
+        normal to the arm are equal within 1e-12 of the largest; their mean is used.
+    t : float or array_like of shape (T,)
+        Time or times, s.
+    arm : array_like of shape (3,) or (N, 3)
+        Vector from the fixed point to the centre of mass along body axes, m.
+    weight : float or array_like of shape (N,)
+        Weight, along −z of the inertial axes, N.
+    allow_unphysical : bool, default False
+        As in :func:`free_body`.
+    dtype : {float64, float32}, optional
+        As in :func:`free_body`.
+    n_threads : int, optional
+        As in :func:`free_body`.
+    invalid : {"raise", "flag"}, default "raise"
+        As in :func:`free_body`.
+
+    Returns
+    -------
+    q : ndarray of shape (T, N, 4)
+        Unit quaternions, as in :func:`free_body`.
+    w : ndarray of shape (T, N, 3)
+        Angular velocities along body axes, rad/s.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the body is not symmetric about the arm, or if an argument does not fit, as in
+        :func:`free_body`.
+
+    Notes
+    -----
+    With W² = ``|w0|²`` + 4 weight ``|arm|``/A, errors are at most 1e-15 (1 + W t) rad and as much
+    relative to W, in addition to the effect of the rounding of q0 and w0 on the motion.
+
+    References
+    ----------
+    Lagrange's top with a quotient of theta functions for each Cayley-Klein parameter: Klein and
+    Sommerfeld, *The Theory of the Top* (1897-1910).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> q, w = fa.closed_form.heavy_top(
+    ...     [1, 0, 0, 0], [0.1, 0, 30], (1.0, 1.0, 0.5), 10.0, arm=(0, 0, 0.1), weight=10.0
+    ... )
+    >>> q.shape, w.shape
+    ((4,), (3,))
+    """
+    body = principal(inertia, allow_unphysical=allow_unphysical)
+    arms = checks.array("arm", arm, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
+    weights = checks.array("weight", weight, "a number or (N,)").astype(np.float64)
+    _same_rows({"arm": arms, "weight": weights[..., None], "inertia": body.moments})
+    form = _heavy_top_form(body, (arms, weights[..., None] * (0.0, 0.0, 1.0)))
+    return _at_times(form, q0, w0, t, (dtype, n_threads, invalid))
+
+
+def _same_rows(given: dict[str, NDArray[Any]]) -> int | None:
+    """The number of bodies, None if no argument has rows; refuses different numbers but one."""
+    rows = {name: len(x) for name, x in given.items() if x.ndim == 2}
+    first = next((name for name, n in rows.items() if n > 1), "")
+    for name, n in rows.items():
+        if n not in (1, rows.get(first, 1)):
+            raise ValueError(f"{name}: has {n} rows; accepted: one, or {rows[first]} as of {first}")
+    return rows.get(first, 1 if rows else None)
+
+
+def _at_times(
+    form: BodySolution, q0: ArrayLike, w0: ArrayLike, t: ArrayLike, options: tuple[Any, Any, str]
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    dtype, n_threads, invalid = options
+    precision = checks.precision(dtype, q0, w0)
+    flag = checks.flags_invalid(invalid)
+    start = checks.attitudes("q0", q0, flag=flag)
+    rates = checks.array("w0", w0, "(3,) or (N, 3)", flag=flag)
+    times = checks.array("t", t, "a number or (T,)")
+    threads = number_of(n_threads)
+    given = {"q0": start, "w0": rates, "inertia": form.body.moments, "arm, weight": form.pull}
+    n = _same_rows(given)
+    if text := rounding.of_angles(turned(rates, times, form.gain), precision):
+        rounding.warn(f"t: found rotations by {text}")
+    flat = np.require(times.reshape(-1), precision, ["C", "A"])
+    first = start.astype(precision), rates.astype(precision)
+    q, w = (np.empty((flat.size, n or 1, k), precision) for k in (4, 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        evaluate(form, first, flat, threads, (q, w))
+    shape = times.shape if n is None else (*times.shape, n)
+    return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+
+
+# bodies whose constants stay in the cache, and times for which they need not
+_PIECE, _MANY = 8192, 16
+# inputs of a body, with their sizes; axes are those of ``Principal``, if there are any
+_GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3}
+
+
+class Solution(NamedTuple):
+    """The solution of a motion in two formulas.
+
+    ``prepare`` computes constants from (q, w, moments), and from the ``pull`` too if ``pulled``;
+    ``state`` computes the attitude and w from the constants, the moments and t.
+    """
+
+    prepare: Callable[..., Any]
+    state: Callable[[Any, Any, Any], tuple[Any, Any]]
+    pulled: bool = False
+
+
+def _free(constants: Any, moments: Any, t: Any) -> tuple[Any, Any]:
+    q, m = formulas.free_body.evaluate(constants, t)
+    return q, tuple(a / b for a, b in zip(m, moments, strict=True))
+
+
+def _symmetric(constants: Any, moments: Any, t: Any) -> Any:
+    return formulas.free_body.symmetric_evaluate(constants, t)
+
+
+def _top(constants: Any, moments: Any, t: Any) -> Any:
+    return formulas.heavy_top.evaluate(constants, t)
+
+
+_FREE_BODY = Solution(formulas.free_body.setup_rate, _free)
+_SYMMETRIC_TOP = Solution(formulas.free_body.symmetric_setup, _symmetric)
+_HEAVY_TOP = Solution(formulas.heavy_top.setup, _top, pulled=True)
+
+
+class BodySolution(NamedTuple):
+    """The closed form of given bodies.
+
+    ``pull`` is the moment of the weight about the fixed point, N·m, which acts on the third axes,
+    (3,) or (N, 3) along inertial axes. ``gain``, rad/s, bounds the growth of ``|w|``: the square
+    root of ``|w|²`` + ``gain²`` at the start is never exceeded.
+    """
+
+    solution: Solution
+    body: Principal
+    pull: NDArray[np.float64] = np.zeros(3)
+    gain: NDArray[np.float64] = np.zeros(())
+
+
+#: names of the torques for which there is a closed form
+_LEVERS = tuple(m.__name__ for m in Torque.__subclasses__() if m.lever is not None)
+_Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def _heavy_top_form(body: Principal, lever: _Lever) -> BodySolution:
+    """The closed form of bodies with the lever that ``torques.lever_of`` found.
+
+    Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, with its index.
+    """
+    arm, pull = lever
+    found, reach = about_arm(body, arm)
+    _check_above_zero(found)
+    pull = reach[..., None] * pull
+    # A |w|² grows by 4 |pull| at most
+    gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / found.moments[..., 0])
+    return BodySolution(_HEAVY_TOP, found, pull, gain)
+
+
+def form_of(scene: Scene) -> BodySolution:
+    """The closed form of a scene's motion.
+
+    Raises ``ValueError``, with the body or the torque, if there is none.
+    """
+    known = scene.memo.get("closed form")
+    if known is None:
+        try:
+            known = _form_of(scene)
+        except ValueError as reason:
+            known = str(reason)
+        scene.memo["closed form"] = known
+    if isinstance(known, str):
+        raise ValueError(known)  # noqa: TRY004
+    assert isinstance(known, BodySolution)
+    return known
+
+
+def _form_of(scene: Scene) -> BodySolution:
+    if scene.torque is None:
+        _check_above_zero(scene.principal)
+        return BodySolution(_FREE_BODY, scene.principal)
+    lever = torques.lever_of(scene.torque)
+    if lever is None:
+        raise ValueError(
+            f"torque: found {checks.brief(scene.torque)}; accepted by the closed form: none, or "
+            f"{' or '.join(_LEVERS)} of numbers"
+        )
+    return _heavy_top_form(scene.principal, lever)
+
+
+def _check_above_zero(body: Principal) -> None:
+    """Refuse moments of zero, for which there is no closed form."""
+    if (body.moments < 0.0).any():
+        raise ValueError(
+            f"inertia: found the principal moment {body.moments.min():.6g}; accepted by the closed "
+            "form: above 0, though allow_unphysical lets it pass elsewhere"
+        )
+
+
+@functools.cache
+def _functions(
+    solution: Solution, kind: str, attitude: Attitude, is_turned: bool
+) -> tuple[RowFunction, RowFunction]:
+    """The constants of bodies, and their attitudes and angular velocities at times.
+
+    ``is_turned`` says that the principal axes are not the body axes.
+    """
+    quat = formulas.quat
+
+    def prepare(q: Any, w: Any, moments: Any, axes: Any, pull: Any) -> Any:
+        if is_turned:
+            q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
+        pulls = (pull,) if solution.pulled else ()
+        return tuple(flattened(solution.prepare(quat.normalise(q), w, moments, *pulls)))
+
+    def state(constants: Any, moments: Any, axes: Any, t: Any) -> Any:
+        q, w = solution.state(constants, moments, t)
+        if is_turned:
+            q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
+        return q if attitude is QUATERNION else attitude.raw(attitude.start(q)), tuple(w)
+
+    graph = Graph()
+    n = len(prepare(*(graph.inputs(kind, name, size) for name, size in _GIVEN.items())))
+    inputs = {"constants": n, "moments": 3, "axes": 4, "t": None}
+    results = attitude.stored, 3
+    native = processor().fuses
+    return (
+        RowFunction(prepare, _GIVEN, (n,), kind, native=native),
+        RowFunction(state, inputs, results, kind, native=native),
+    )
+
+
+def evaluate(
+    form: BodySolution,
+    start: tuple[NDArray[Any], NDArray[Any]],
+    t: NDArray[Any],
+    threads: int,
+    out: tuple[NDArray[Any], NDArray[Any]],
+    attitude: Attitude = QUATERNION,
+) -> None:
+    """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
+    moments, axes = form.body
+    kind = kind_of(start[0].dtype)
+    prepare, state = _functions(form.solution, kind, attitude, axes is not None)
+    # axes that are the body axes are not read
+    given = moments, np.zeros(4) if axes is None else axes, form.pull
+    q, w, *body = np.atleast_2d(*start, *given)
+
+    def some(rows: slice, threads: int) -> None:
+        given = [x if len(x) == 1 else x[rows] for x in (q, w, *body)]
+        (constants,) = prepare(*given, n_threads=threads)
+        own = [x[:, rows] for x in out]
+        state(constants, *given[2:4], t[:, None], n_threads=threads, out=own)
+
+    n = out[0].shape[1]
+    if n <= _PIECE or t.size > _MANY:
+        some(slice(n), threads)
+    else:  # so that the constants of bodies stay in the cache
+        pieces = [partial(some, slice(a, a + _PIECE), 1) for a in range(0, n, _PIECE)]
+        each_in_threads(pieces, threads)
+
+
+def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The largest ``|w| t`` of each body, rad, with the ``gain`` of a ``BodySolution``."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rates = np.asarray(w, dtype=np.float64)
+        squares = (rates * rates) @ np.ones(3) + gain * gain
+        return np.asarray(np.sqrt(squares) * np.abs(t).max(initial=0.0))

@@ -1,0 +1,132 @@
+"""The end of a run, from which another run continues as if it had not been interrupted.
+
+A restart from a saved attitude and rate is another run: the state was projected, the compensation
+of rounding is lost, and the invariants are measured from a new start.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.files import writing
+from fastatt.propagation.initial import Given
+
+if TYPE_CHECKING:
+    from fastatt.propagation.plan import Plan
+
+_FORMAT = 8
+#: the largest number of bodies of which a trajectory holds its end
+MOST = 1 << 18
+#: the rest of a message about a trajectory without its end
+NO_END = (
+    "a trajectory that does not hold its end; accepted: one of propagate or resume by a method "
+    f"that takes steps, of at most {MOST} bodies (of more with checkpoint=), with one step size, a "
+    "whole last step (t_end a multiple of dt) and without save_at"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """The last state of a run as the engine carries it, its initial values, and its options."""
+
+    given: Given
+    states: NDArray[Any]
+    done: int
+    t0: float
+    about: dict[str, Any]
+    params: NDArray[np.float64]
+    #: a hash of the operations of a step, and one of the events
+    equations: str
+    watched: str
+    #: what the run keeps of its events: their last values, found times, states of stopped bodies
+    events: list[NDArray[Any]]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the end to a file, completely or not at all."""
+        given = self.given
+        header = {
+            "format": _FORMAT,
+            "done": self.done,
+            "t0": self.t0.hex(),
+            "equations": self.equations,
+            "watched": self.watched,
+            "one_body": given.one_body,
+            **self.about,
+        }
+        events: dict[str, Any] = {f"events_{i}": x for i, x in enumerate(self.events)}
+        with writing("path", path) as file:
+            np.savez(
+                file,
+                header=np.array(json.dumps(header)),
+                q=given.q,
+                y=given.y,
+                states=self.states,
+                params=self.params,
+                **events,
+            )
+
+
+def loaded(path: str | os.PathLike[str]) -> End:
+    """Read the end of a run from a file.
+
+    Raises ``ValueError`` for another kind of file, ``OSError`` if it can't be read.
+    """
+    try:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            about = json.loads(str(file["header"]))
+            if about.pop("format") != _FORMAT:
+                raise KeyError("format")
+            return End(
+                given=Given(file["q"], file["y"], about.pop("one_body")),
+                states=file["states"],
+                done=about.pop("done"),
+                t0=float.fromhex(about.pop("t0")),
+                equations=about.pop("equations"),
+                watched=about.pop("watched"),
+                events=[file[name] for name in sorted(file) if name.startswith("events_")],
+                params=file["params"],
+                about=about,
+            )
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        raise ValueError(
+            f"run: {str(path)!r} is not the end of a run; accepted: a file that "
+            "Trajectory.save_end or checkpoint= of this version wrote"
+        ) from None
+
+
+def end_of(run: Any) -> End:
+    """The end that a trajectory or a file holds.
+
+    Raises ``TypeError`` and ``ValueError`` if there is none.
+    """
+    if isinstance(run, (str, os.PathLike)):
+        return loaded(run)
+    end = getattr(run, "end", None)
+    if isinstance(end, End):
+        return end
+    if hasattr(run, "status"):
+        raise ValueError(f"run: found {NO_END}")
+    raise TypeError(f"run: found {checks.brief(run)}; accepted: a trajectory or a file's path")
+
+
+def check(end: End, plan: Plan) -> None:
+    """Refuse to resume with another scene, or with other events where bodies have stopped."""
+    if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
+        raise ValueError(
+            "scene: differs from that of the run that is resumed, or a method of one's own does; "
+            "accepted: the same"
+        )
+    if end.watched != plan.watched and not np.isnan(end.events[2]).all():
+        raise ValueError(
+            "events: found others than those of the run that is resumed; accepted: the same, since "
+            "bodies stop at terminal ones"
+        )

@@ -1,0 +1,133 @@
+"""The summary of a study: on one screen, and as a page. How to read them.
+
+- A row is one method with one step size on one ensemble. Times are the shortest of repeated runs,
+  without compilation; errors and drifts do not depend on the machine.
+- `error` is the largest angle, rad, between the attitude of any body at the end and the reference,
+  which is a closed form or a run of a method of high order whose error is far smaller.
+- `method` is the fastest of those whose `error` is at most the target; a ladder of its own, from
+  the coarsest step size that its limit allows down to rounding, is measured for each. Rows with a
+  status flag are left out. A closed form takes no steps and stands apart: `exact`.
+- `step` is the step size, s, and `µs` the time for one body over the whole duration, microseconds.
+- `drift` is the largest of the norm error (of a matrix: the orthogonality error ‖C Cᵀ − 1‖) and the
+  relative changes of energy and angular momentum, of any body, where the motion conserves them.
+- Times within 10 % of each other are ties.
+- An error that rounding limits counts as better than another only if it is 4 times smaller.
+- Long runs have one step size for all methods, in which the fastest body rotates by 0.2 rad; their
+  drift is the root mean square over the bodies. A drift is bounded if it grows as a power of time
+  below 0.25 over the last decade and a half, a random walk below 0.75, and linear below 1.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from operator import attrgetter
+
+from fastatt.trade.long_run import Drifted, ends
+from fastatt.trade.measure import Column, Row, frontier, trade_table
+
+#: rad; errors at which methods are compared
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
+_WIDTH = 100
+_STORED = ("quat", "dcm")
+#: what the screen shows: quantities that tell methods apart
+_SHOWN = (("coning", "norm"), ("free", "energy"), ("free", "momentum"), ("top", "energy"))
+BRIEF: tuple[Column, ...] = (
+    ("method", "method", str), ("rep", "representation", str), ("dtype", "dtype", str),
+    ("dt, s", "dt", "{:.4g}".format), ("error, rad", "error_max", "{:.1e}".format),
+    ("drift", "drift", "{:.0e}".format),
+    ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
+)  # fmt: skip
+_LONG: tuple[Column, ...] = (
+    ("scene", "input", str), ("quantity", "quantity", str), ("rep", "representation", str),
+    ("method", "method", str), ("dt, s", "dt", "{:.3g}".format),
+    ("drift", "drift", "{:.1e}".format), ("growth", "growth", str), ("status", "status", str),
+)  # fmt: skip
+_LETTERS = {"bounded": "=", "random walk": "~", "linear": "/", "faster": "^"}
+#: how to read the results, as the page of the trade has it too
+COLUMNS = (__doc__ or "").partition("\n\n")[2].strip()
+
+
+def fastest(rows: Iterable[Row], target: float) -> list[Row]:
+    """The fastest row of each method that takes steps and meets a target, fastest first."""
+    met = [r for r in rows if not (r.status or r.is_exact) and r.error_max <= target]
+    best: dict[str, Row] = {}
+    for row in sorted(met, key=attrgetter("seconds_per_body")):
+        best.setdefault(row.method, row)
+    return list(best.values())
+
+
+def closed_form(rows: Iterable[Row]) -> Row | None:
+    """The row of the closed form, if there is one."""
+    return next((row for row in rows if row.is_exact), None)
+
+
+def by_scene(rows: Sequence[Row]) -> dict[str, dict[str, list[Row]]]:
+    """Rows by ensemble and representation."""
+    return {
+        scene: {name: [r for r in own if r.representation == name] for name in _STORED}
+        for scene, own in (
+            (scene, list(group)) for scene, group in groupby(rows, attrgetter("input"))
+        )
+    }
+
+
+def screen(rows: Sequence[Row], long: Sequence[Drifted]) -> str:
+    """The fastest method at each error, and how far what is conserved drifts: 33 lines at most."""
+    half = f"{'method':<12} {'step, s':>8} {'µs':>8} {'drift':>7}"
+    lines = [f"{'':<16} {'quaternion':<41} DCM", f"{'scene':<8} {'error':>7}  {half}     {half}"]
+    for scene, stored in by_scene(rows).items():
+        if any(closed_form(own) for own in stored.values()):
+            cells = [_cell(closed_form(own), stored) for own in stored.values()]
+            lines.append(f"{scene:<8} {'any':>7}  {'     '.join(cells)}".rstrip())
+        for target in TARGETS:
+            found = [fastest(own, target)[:1] for own in stored.values()]
+            if any(found):
+                cells = [_cell(best[0] if best else None, stored) for best in found]
+                lines.append(f"{scene:<8} {target:>7.0e}  {'     '.join(cells)}".rstrip())
+    return "\n".join([*lines, *_drifts(long)])
+
+
+def _cell(row: Row | None, stored: dict[str, list[Row]]) -> str:
+    if row is None:
+        return f"{'–' if any(stored.values()) else '':<12} {'':>8} {'':>8} {'':>7}"
+    step = "–" if row.is_exact else f"{row.dt:.3g}"
+    drift = f"{row.drift:.0e}" if row.drift else "–"
+    return f"{row.method:<12} {step:>8} {row.seconds_per_body * 1e6:>8.3g} {drift:>7}"
+
+
+def _drifts(long: Sequence[Drifted]) -> list[str]:
+    lines: list[str] = []
+    for scene, quantity in _SHOWN:
+        own = [
+            x
+            for x in ends(long)
+            if (x.input, x.quantity, x.representation) == (scene, quantity, "quat")
+        ]
+        if not own:
+            continue
+        if not lines:
+            laws = ", ".join(f"{letter} {law}" for law, letter in _LETTERS.items())
+            lines.append(f"Drift after {own[0].n_steps} steps, quaternions ({laws}):")
+        text = f"{scene} {quantity}:"
+        for x in sorted(own, key=lambda x: x.drift):
+            word = f" {x.method} {x.drift:.0e}{_LETTERS[x.growth]}"
+            if len(text) + len(word) > _WIDTH:
+                lines.append(text)
+                text = "   "
+            text += word
+        lines.append(text)
+    return lines
+
+
+def page(title: str, headings: dict[str, str], rows: Sequence[Row], long: Sequence[Drifted]) -> str:
+    """The summary as Markdown: the screen, the frontier of each ensemble, drifts of long runs."""
+    text = f"# Speed, error and drift of each method\n\n{title}\n\n## How to read the results\n\n"
+    text += f"{COLUMNS}\n\n```text\n{screen(rows, long)}\n```\n"
+    for scene, stored in by_scene(rows).items():
+        best = [row for own in stored.values() for row in frontier(own)]
+        text += f"\n## {scene}\n\n{headings[scene]}. The fastest way to each error:\n"
+        text += f"\n```text\n{trade_table(best, BRIEF)}\n```\n"
+    ranked = sorted(ends(long), key=lambda x: (x.input, x.quantity, x.representation, x.drift))
+    text += f"\n## Drift over long runs\n\n```text\n{trade_table(ranked, _LONG)}\n```\n"
+    return text

@@ -1,0 +1,227 @@
+"""One result, to the bit: whoever is beside a body, whatever is saved, however a run is divided.
+
+Over ways of a run: methods of each sort, and all that a run may carry or do beside its steps.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.propagation import execute
+
+N = 200  # bodies, three tiles of 64 and a part of one
+DT, STEPS = 0.01, 300  # more than a block
+RNG = np.random.default_rng(3)
+Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
+BODY = (2.0, 1.0, 1.5)
+SIZES = RNG.uniform(0.9, 1.1, (N, 1))
+OWN = RNG.uniform(0.1, 0.5, (N, 2))
+
+
+def swing(t, q, w, p):
+    return p[0] * np.sin(3.0 * t), p[1] * w[1] - q[1], 0.1
+
+
+def pulse(t, q, w, p):
+    return (p[0] if 0.503 < t < 1.5 else -p[0]), q[1], 0.02 * t
+
+
+def lagged(t, q, w, s, p):
+    return (-p[0] * s[0], 0.0, q[2]), (p[1] * (w[0] - s[0]), s[0])
+
+
+def held(t, q, w, s, p):
+    return (-p[0] * w[0], -s[0], 0.0), (s[0] + 0.1 * w[1],)
+
+
+RATE = fa.Scene(rate=fa.rates.Coning(OWN[:, 0], OWN[:, 1] + 1.0))
+SHARED = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
+TORQUED = fa.Scene(inertia=BODY, torque=swing, params=OWN)
+SPLIT = fa.Scene(inertia=SIZES * BODY, torque=fa.torques.GravityGradient(0.3))
+FREE = fa.Scene(inertia=SIZES * BODY)
+MOVED = fa.Scene(inertia=BODY, mass=SIZES[:, 0], force=(0.1, 0.2, 0.3))
+STATES = fa.Scene(inertia=BODY, torque=lagged, states=2, params=OWN)
+SAMPLED = fa.Scene(inertia=BODY, torque=fa.torques.SampledControl(held, 0.25, (0.3,), states=1))
+BROKEN = fa.Scene(
+    inertia=BODY, breakpoints=(0.503, 1.5), torque=fa.torques.Custom(pulse, OWN, uses_rate=False)
+)
+EVENTS = [fa.event(lambda t, q, w, p: w[0]), fa.event(lambda t, q, w, p: w[1], terminal=True)]
+WAYS = {
+    "rate": (RATE, {"method": "magnus4"}),
+    "shared rate": (SHARED, {"method": "magnus4", "representation": "dcm"}),
+    "rate, single": (RATE, {"method": "magnus4", "dtype": "float32"}),
+    "rk4": (TORQUED, {"method": "rk4"}),
+    "rk4, single": (TORQUED, {"method": "rk4", "dtype": "float32"}),
+    "rk4, low parts": (TORQUED, {"method": "rk4", "compensated": True, "normalise": 3}),
+    "rk4, matrices": (TORQUED, {"method": "rk4", "representation": "dcm_rows"}),
+    "rk4, angles": (TORQUED, {"method": "rk4", "representation": "euler313", "dt": -DT}),
+    "rk4, never mended": (TORQUED, {"method": "rk4", "normalise": "never"}),
+    "splitting": (SPLIT, {"method": "strang2"}),
+    "implicit": (FREE, {"method": "dmv10"}),
+    "implicit, single": (FREE, {"method": "dmv10", "dtype": "float32"}),
+    "closed form": (FREE, {"method": "exact"}),
+    "position": (MOVED, {"method": "rk4", "v0": W0 + 1.0, "r0": W0 - 1.0}),
+    "states": (STATES, {"method": "rk4", "s0": W0[:, :2]}),
+    "samples": (SAMPLED, {"method": "rk4", "s0": np.zeros((N, 4))}),
+    "breakpoints": (BROKEN, {"method": "rk4"}),
+    "breakpoints, splitting": (BROKEN, {"method": "strang2"}),
+    "events": (TORQUED, {"method": "rk4", "events": EVENTS}),
+}
+STEPPED = [way for way, (_, options) in WAYS.items() if options["method"] != "exact"]
+ways, stepped = (pytest.mark.parametrize("way", x) for x in (WAYS, STEPPED))
+
+
+def given(way, rows=slice(None), n=STEPS, **more):
+    """A scene and the arguments of its run, of some bodies."""
+    scene, options = WAYS[way]
+    start = {"q0": Q0[rows]} | ({} if scene.kind == "rate" else {"w0": W0[rows]})
+    start |= {name: options[name][rows] for name in ("v0", "r0", "s0") if name in options}
+    return scene[rows], {"dt": DT, "n_steps": n, **options, **start, **more}
+
+
+def run(way, rows=slice(None), **more):
+    scene, arguments = given(way, rows, **more)
+    return fa.propagate(scene, **arguments)
+
+
+def of(found, bodies=slice(None), saves=slice(None)):
+    """All numbers of some bodies of a run: NaN equals NaN, 0 does not equal −0."""
+    histories = [found.state, found.q, found.norm_error, *found.carried.values()]
+    each = [x for x in (found.status, found.found) if x is not None]
+    numbers = [x[saves][:, bodies] for x in histories] + [x[bodies] for x in each]
+    return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
+
+
+@ways
+def test_an_ensemble_is_its_single_runs(way):
+    full = run(way, save_every=32)
+    for n in (1, 2, 63, 64, 65):
+        assert of(run(way, slice(n), save_every=32)) == of(full, slice(n)), n
+    for b in (0, 62, 63, 64, 128, 199):
+        assert of(run(way, slice(b, b + 1), save_every=32)) == of(full, slice(b, b + 1)), b
+
+
+@ways
+def test_threads_change_no_bit(way):
+    one = of(run(way, save_every=32, n_threads=1))
+    for k in (2, 3, 7):
+        assert of(run(way, save_every=32, n_threads=k)) == one
+
+
+@ways
+def test_saves_change_no_bit(way):
+    """Every k steps, in memory and handed out; of a few steps and of none too."""
+    every = run(way, save_every=1)
+    assert every.t.tolist() == (np.arange(STEPS + 1) * WAYS[way][1].get("dt", DT)).tolist()
+    for k in (None, 1, 7, 64, STEPS, 2 * STEPS):
+        steps = [STEPS] if k is None else [*range(0, STEPS, k), STEPS]
+        found = run(way, save_every=k)
+        assert found.t.tolist() == every.t[steps].tolist()
+        assert of(found) == of(every, saves=steps), k
+    for n in (0, 1, 63):
+        few = run(way, n=n)
+        assert few.q.tobytes() == every.q[[n]].tobytes()
+    pieces = []
+    last = run(way, save_every=7, on_save=lambda x: pieces.append((x.t.copy(), x.state.copy())))
+    steps = [*range(0, STEPS, 7), STEPS]
+    for x, wanted in zip(
+        map(np.concatenate, zip(*pieces, strict=True)), (every.t, every.state), strict=True
+    ):
+        assert x.tobytes() == wanted[steps].tobytes()
+    assert of(last) == of(every, saves=[-1])
+
+
+@ways
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning", "ignore:status")
+def test_neighbours_harm_nobody(way):
+    """Attitudes and rates that are no numbers, and some that are too fast."""
+    scene, options = given(way, save_every=32, invalid="flag")
+    alone = fa.propagate(scene, **options)
+    q0 = options["q0"].copy()
+    q0[3, 1], q0[64], q0[199, 3] = np.nan, 0.0, -np.inf
+    bad = [3, 64, 199]
+    if "w0" in options:
+        w0 = options["w0"].copy()
+        w0[65, 0], w0[130] = np.inf, 1e9 if way in STEPPED else np.nan  # right at any rate
+        options["w0"], bad = w0, [*bad, 65, 130]
+    if scene is RATE:
+        fast = OWN[:, 1] + 1.0
+        fast[[17, 40]] = 1e4, 1e6
+        scene, bad = fa.Scene(rate=fa.rates.Coning(OWN[:, 0], fast)), [*bad, 17, 40]
+    found = fa.propagate(scene, **{**options, "q0": q0})
+    others = np.setdiff1d(np.arange(N), bad)
+    assert of(found, others) == of(alone, others)
+    assert (found.status[bad] != 0).all()
+
+
+@ways
+def test_a_plan_gives_the_same(way):
+    """Twice in the same memory, with another run between; copied too."""
+    scene, options = given(way, save_every=64)
+    wanted = of(fa.propagate(scene, t0=0.3, **options))
+    start = {name: options.pop(name) for name in ("q0", "w0", "v0", "r0", "s0") if name in options}
+    plan = fa.plan(scene, N, position="r0" in start, **options)
+    assert of(plan(**start, t0=0.3)) == wanted
+    assert of(plan(**start | {"q0": Q0[::-1]}, t0=0.3)) != wanted
+    assert of(plan(**start, t0=0.3)) == wanted
+    if "events" not in options:
+        assert of(pickle.loads(pickle.dumps(plan))(**start, t0=0.3)) == wanted
+
+
+@stepped
+def test_a_resumed_run_is_the_whole_one(way, tmp_path):
+    """Left anywhere: within a step that a breakpoint divides, after a block, at a sample; files."""
+    events = {k: v for k, v in WAYS[way][1].items() if k == "events"}
+    scene, whole = WAYS[way][0], run(way, save_every=1)
+    for first in (1, 25, 50, 51, 260):
+        begun = run(way, n=first, checkpoint=tmp_path / "checkpoint")
+        begun.save_end(tmp_path / "end")
+        steps, pieces = [*range(first, STEPS, 4), STEPS], []
+        options = {"n_steps": STEPS - first, "save_every": 4, **events}
+        for end in (begun, tmp_path / "end", str(tmp_path / "checkpoint")):
+            rest = fa.resume(scene, end, **options)
+            np.testing.assert_allclose(rest.t, whole.t[steps], rtol=1e-15)
+            assert of(rest) == of(whole, saves=steps)
+        fa.resume(scene, begun, **options, on_save=lambda x, to=pieces: to.append(x.state.copy()))
+        assert np.concatenate(pieces).tobytes() == rest.state.tobytes()
+
+
+@ways
+def test_parts_are_the_whole(way, monkeypatch):
+    whole = of(run(way, save_every=32))
+    monkeypatch.setattr(execute, "PART", 64)
+    assert of(run(way, save_every=32)) == whole
+
+
+@pytest.mark.parametrize("way", [way for way in STEPPED if "compensated" not in WAYS[way][1]])
+def test_steps_of_each_bodys_own(way, monkeypatch):
+    """What each does alone, whatever its neighbours' steps; at saves on its own grid too."""
+    counts = RNG.integers(20, 90, size=N)
+    counts[33], size = 45, WAYS[way][1].get("dt", DT) / DT
+    steps = {"dt": 1.5 * size / counts, "n": counts, "save_at": [0.0, 0.4 * size, 1.5 * size]}
+    together = run(way, **steps)
+    for b in (0, 33, N - 1):
+        rows = slice(b, b + 1)
+        own = {**steps, "dt": steps["dt"][b], "n": int(counts[b])}
+        assert of(run(way, rows, **own)) == of(together, rows)
+    assert of(run(way, n_threads=3, **steps)) == of(together)
+    monkeypatch.setattr(execute, "PART", 64)
+    assert of(run(way, **steps)) == of(together)
+
+
+def test_numbers_in_any_form_are_the_same():
+    """Rows given once, lists, arrays with gaps or of the other byte order, and a scene's copy."""
+    wide = np.zeros((N, 8))
+    wide[:, ::2] = Q0
+    wanted = of(run("rk4"))
+    for q0 in (wide[:, ::2], np.asfortranarray(Q0), Q0.tolist(), Q0.astype(">f8")):
+        assert of(run("rk4", q0=q0)) == wanted
+    one = of(run("rk4", q0=np.tile(Q0[1], (N, 1)), w0=np.tile(W0[2], (N, 1))))
+    assert of(run("rk4", q0=np.tile(Q0[1], (N, 1)), w0=W0[2])) == one
+    assert of(run("rk4", q0=Q0[1:2], w0=np.tile(W0[2], (N, 1)))) == one
+    assert of(fa.propagate(replace(TORQUED, params=OWN.copy()), **given("rk4")[1])) == wanted

@@ -1,0 +1,238 @@
+"""The tape of a run: its actions and their order, without a compiler."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from fastatt.engine import tape
+from fastatt.engine.tape import UNBROKEN, Breaks, Saves, Steps, legs_of
+
+NAMES = (
+    "START", "STEPS", "SAVE", "PROJECT", "LEAVE", "ENTER", "STATUS", "JUMP", "LOOK", "MIDDLE",
+    "CLOCK", "FORK", "JOIN", "RESTORE",
+)  # fmt: skip
+ACTIONS = {getattr(tape, name): name for name in NAMES}
+MANY = 1 << 40
+
+
+def saves_at(*times):
+    return Saves(np.array(times, dtype=float), 1e-14 * np.abs(np.array(times, dtype=float)))
+
+
+def breaks_at(*times, jumps=()):
+    at = np.array([0.0, *times])
+    edges = np.array([-np.inf, *times, np.inf])
+    there = np.array([x in jumps for x in at.tolist()])
+    return Breaks(at, at, 1e-14 * np.abs(at), edges[:-1], edges[1:], there)
+
+
+def pieces(*args, t0=0.0, pace=MANY, stops=(), **options):
+    steps = Steps(*args, **options)
+    return list(steps.pieces(t0, lambda: pace, stops))
+
+
+def read(records):
+    """The actions with the numbers that matter for each."""
+    found = []
+    for x in records:
+        name = ACTIONS[int(x["action"])]
+        numbers = {
+            "STEPS": (x["first"], x["end"]), "SAVE": (x["first"], x["slot"]),
+            "CLOCK": (round(float(x["dt"]), 9), round(float(x["begin"]), 9)),
+            "LEAVE": (x["first"],), "ENTER": (x["first"],), "JUMP": (x["first"],),
+            "LOOK": (x["first"],), "MIDDLE": (x["first"],),
+        }.get(name, ())  # fmt: skip
+        found.append(" ".join([name, *(f"{n:g}" for n in numbers)]))
+    return found
+
+
+def whole(*args, **options):
+    """The actions of a run in one piece."""
+    (piece,) = pieces(*args, **options)
+    return read(piece.tape)
+
+
+def test_the_module_needs_no_compiler():
+    code = "import sys, fastatt.engine.tape; print('numba' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout == "False\n"
+
+
+def test_steps_and_saves():
+    assert whole(legs_of(0.5, 3), saves_at(1.5)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 3", "SAVE 3 0", "STATUS",
+    ]  # fmt: skip
+    assert whole(legs_of(0.5, 3), saves_at(0.0, 1.0, 1.5)) == [
+        "CLOCK 0.5 0", "START", "SAVE 0 0", "STEPS 0 2", "SAVE 2 1", "STEPS 2 3", "SAVE 3 2",
+        "STATUS",
+    ]  # fmt: skip
+    assert whole(legs_of(0.5, 0), saves_at(0.0)) == ["CLOCK 0.5 0", "START", "SAVE 0 0", "STATUS"]
+    assert whole(legs_of(-0.5, 2), saves_at(-1.0)) == [
+        "CLOCK -0.5 0", "START", "STEPS 0 2", "SAVE 2 0", "STATUS",
+    ]  # fmt: skip
+
+
+def test_blocks_and_projections():
+    assert whole(legs_of(0.5, 600), saves_at(300.0)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 256", "STEPS 256 512", "STEPS 512 600", "SAVE 600 0",
+        "STATUS",
+    ]  # fmt: skip
+    assert whole(legs_of(0.5, 7), saves_at(2.0, 3.5), every=2) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 2", "PROJECT", "STEPS 2 4", "PROJECT", "SAVE 4 0",
+        "STEPS 4 6", "PROJECT", "STEPS 6 7", "SAVE 7 1", "STATUS",
+    ]  # fmt: skip
+
+
+def test_few_steps_are_as_many():
+    """A loop in Python makes the tape of a short run, and NumPy that of a long one."""
+    kept = tape._FEW
+    try:
+        for every in (0, 3):
+            for n in (1, 40, 700):
+                tape._FEW = kept
+                few = whole(legs_of(0.5, n), saves_at(0.5, 0.5 * n), every=every)
+                tape._FEW = -1
+                assert few == whole(legs_of(0.5, n), saves_at(0.5, 0.5 * n), every=every)
+    finally:
+        tape._FEW = kept
+
+
+def test_a_save_within_a_step_is_made_on_a_copy():
+    assert whole(legs_of(0.5, 3), saves_at(0.7, 1.5)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 1", "FORK", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0",
+        "STEPS 0 1", "SAVE 1 0", "JOIN", "STEPS 1 3", "SAVE 3 1", "STATUS",
+    ]  # fmt: skip
+    (piece,) = pieces(legs_of(0.5, 3), saves_at(0.7, 1.5))
+    (join,) = piece.tape[piece.tape["action"] == tape.JOIN]
+    assert [join[name] for name in tape.TIMES] == [0.5, 0.0, -np.inf, np.inf]
+
+
+def test_a_breakpoint_divides_a_step():
+    assert whole(legs_of(0.5, 3, breaks_at(0.7)), saves_at(1.5)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0", "STEPS 0 1",
+        "LEAVE 1", "CLOCK 0.3 0.7", "ENTER 0", "STEPS 0 1", "LEAVE 1", "CLOCK 0.5 0", "ENTER 2",
+        "STEPS 2 3", "SAVE 3 0", "STATUS",
+    ]  # fmt: skip
+    assert whole(legs_of(0.5, 2, breaks_at(0.5)), saves_at(1.0)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.5 0", "ENTER 1", "STEPS 1 2",
+        "SAVE 2 0", "STATUS",
+    ]  # fmt: skip
+
+
+def test_states_jump_at_sample_times():
+    breaks = breaks_at(0.5, jumps=(0.0, 0.5))
+    assert whole(legs_of(0.5, 2, breaks), saves_at(1.0)) == [
+        "CLOCK 0.5 0", "START", "LEAVE 0", "CLOCK 0.5 0", "JUMP 0", "ENTER 0", "STEPS 0 1",
+        "LEAVE 1", "CLOCK 0.5 0", "JUMP 1", "ENTER 1", "STEPS 1 2", "SAVE 2 0", "STATUS",
+    ]  # fmt: skip
+
+
+def test_a_save_in_a_divided_step_takes_the_clock_of_its_part():
+    """Whole steps stay where they are, whatever is saved and wherever steps are divided."""
+    assert whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(0.6, 0.7, 0.8, 1.0)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0",
+        "FORK", "LEAVE 0", "CLOCK 0.1 0.5", "ENTER 0", "STEPS 0 1", "SAVE 1 0", "JOIN",
+        "STEPS 0 1", "SAVE 1 1", "LEAVE 1", "CLOCK 0.3 0.7", "ENTER 0",
+        "FORK", "LEAVE 0", "CLOCK 0.1 0.7", "ENTER 0", "STEPS 0 1", "SAVE 1 2", "JOIN",
+        "STEPS 0 1", "SAVE 1 3", "STATUS",
+    ]  # fmt: skip
+
+
+def test_a_shorter_last_step():
+    assert whole(legs_of(0.5, 3, UNBROKEN, 1.2), saves_at(1.0, 1.2)) == [
+        "CLOCK 0.5 0", "START", "STEPS 0 2", "SAVE 2 0", "LEAVE 2", "CLOCK 0.2 1", "ENTER 0",
+        "STEPS 0 1", "SAVE 1 1", "STATUS",
+    ]  # fmt: skip
+
+
+def test_events_look_where_legs_begin():
+    """At the values, and on a copy at those in the middle of the step."""
+    middle = ["CLOCK 0.25 0", "ENTER 0", "STEPS 0 1", "MIDDLE 1", "JOIN"]
+    first = ["LOOK 0", "FORK", "LEAVE 0", *middle]
+    assert whole(legs_of(0.5, 2), saves_at(1.0), watched=True) == [
+        "CLOCK 0.5 0", "START", "RESTORE", *first, "STEPS 0 2", "SAVE 2 0", "STATUS",
+    ]  # fmt: skip
+    actions = whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(1.0), watched=True)
+    assert [x for x in actions if x.startswith("LOOK")] == ["LOOK 0"] * 3
+    resumed = {"watched": True, "resumes": True, "done": 1}
+    known = whole(legs_of(0.5, 2), saves_at(1.0), new=False, **resumed)
+    assert known[:3] == ["CLOCK 0.5 0", "START", "RESTORE"]
+    assert "LOOK 1" not in known
+    assert "LOOK 1" in whole(legs_of(0.5, 2), saves_at(1.0), **resumed)
+
+
+def test_a_resumed_run_goes_on():
+    legs = legs_of(0.5, 4, breaks_at(1.2))
+    assert whole(legs, saves_at(1.0, 2.0), resumes=True, done=2) == [
+        "CLOCK 0.5 0", "START", "RESTORE", "SAVE 2 0", "LEAVE 2", "CLOCK 0.2 1", "ENTER 0",
+        "STEPS 0 1", "LEAVE 1", "CLOCK 0.3 1.2", "ENTER 0", "STEPS 0 1", "LEAVE 1",
+        "CLOCK 0.5 0", "ENTER 3", "STEPS 3 4", "SAVE 4 1", "STATUS",
+    ]  # fmt: skip
+
+
+def test_the_time_of_the_start_moves_clocks_alone():
+    legs, saves = legs_of(0.5, 3, UNBROKEN, 1.2), saves_at(0.7, 1.2)
+    (a,), (b,) = (pieces(legs, saves, t0=t0) for t0 in (0.0, 7.0))
+    assert (b.tape["begin"] == a.tape["begin"] + 7.0).all()
+    names = [name for name in tape.RECORD.names if name != "begin"]
+    assert (a.tape[names] == b.tape[names]).all()
+
+
+def joined(found):
+    """The actions of pieces without what begins and ends each."""
+    actions = [x for piece in found for x in read(piece.tape)[2:-1] if x != "RESTORE"]
+    steps = []
+    for x in actions:  # blocks that were cut
+        if x.startswith("STEPS") and steps and steps[-1].startswith("STEPS"):
+            before, now = steps[-1].split(), x.split()
+            if before[2] == now[1]:
+                steps[-1] = f"STEPS {before[1]} {now[2]}"
+                continue
+        steps.append(x)
+    return steps
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_pieces_are_the_whole(seed, monkeypatch):
+    """Of random runs: whatever their length, each action comes once, in the same order."""
+    rng = np.random.default_rng(seed)
+    h, n = float(rng.choice([0.25, -0.1])), int(rng.integers(1, 40))
+    end = None if rng.random() < 0.5 else (n - float(rng.uniform(0.1, 0.9))) * h
+    last = n * h if end is None else end
+    times = np.sort(rng.uniform(0.0, 1.0, 4)) * abs(last)
+    breaks = np.sign(h) * np.sort(np.unique([*times, *(abs(h) * rng.integers(1, n + 1, 2))]))
+    breaks = breaks[np.abs(breaks) < abs(last) - 1e-9]
+    at = np.sort(np.concatenate([rng.uniform(0.0, abs(last), 8), [0.0, abs(last)]])) * np.sign(h)
+    given = (
+        legs_of(h, n, breaks_at(*breaks.tolist(), jumps=breaks[::2].tolist()), end),
+        saves_at(*at),
+    )
+    options = {"every": int(rng.integers(0, 4)), "block": 4}
+    wanted = joined(pieces(*given, **options))
+    for pace in (1, 4, 9):
+        found = pieces(*given, pace=pace, **options)
+        assert joined(found) == wanted
+        assert found[-1].saved == at.size
+        assert found[-1].position == sum(given[0]["end"] - given[0]["first"])
+        assert [x.position for x in found] == sorted({x.position for x in found})
+    monkeypatch.setattr(tape, "_LEGS", 2)
+    monkeypatch.setattr(tape, "_SAVES", 2)
+    assert joined(pieces(*given, **options)) == wanted
+
+
+def test_pieces_end_at_saves():
+    found = pieces(legs_of(0.5, 100), saves_at(*(0.5 * np.arange(101))), stops=[16, 32])
+    assert [(x.position, x.whole, x.saved) for x in found] == [
+        (16, 16, 17),
+        (32, 32, 33),
+        (100, 100, 101),
+    ]
+
+
+def test_whole_steps_are_counted():
+    found = pieces(legs_of(0.5, 3, breaks_at(0.7)), saves_at(1.5), pace=1, block=1)
+    assert [x.whole for x in found] == [1, -1, 2, 3]

@@ -1,0 +1,303 @@
+"""What filters do with measurements that are wrong or missing."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+
+import numpy as np
+import pytest
+import scipy
+from each import each
+from exact import START, angle, exp, matrix, mul
+
+from fastatt import estimation as es
+
+P0 = np.diag([0.05**2] * 3 + [1e-3**2] * 3)
+NOISE = {"angle_noise": 3e-4, "bias_noise": 1e-5}
+MANY = np.tile(START, (4, 1))
+DOWN = np.array([0.0, 0.0, 1.0])
+
+
+# gates
+
+
+def filters(kind, **options):
+    if kind == "MEKF":
+        return es.MEKF(MANY, P0, **NOISE, **options)
+    return es.UKF(MANY, np.zeros(3), P0, **options)
+
+
+def state(f):
+    beside = f.bias if isinstance(f, es.MEKF) else f.y
+    return f.q.copy(), beside.copy(), f.covariance.copy()
+
+
+def changed(before, f):
+    """Which of the estimates are others than before."""
+    after = state(f)
+    return [any((a[i] != b[i]).any() for a, b in zip(before, after, strict=True)) for i in range(4)]
+
+
+def update(f, kind, errors, **options):
+    """With measurements that are off by errors (4, 3), rad."""
+    tilted = mul(MANY, exp(errors))
+    if kind == "attitude":
+        return f.update_attitude(tilted, 0.01, **options)
+    return f.update_vector(np.einsum("nji,j->ni", matrix(tilted), DOWN), DOWN, 0.01, **options)
+
+
+@each("measured", ["vector", "attitude"])
+@each("kind", ["MEKF", "UKF"])
+def test_what_is_beyond_the_gate_is_not_used(kind, measured):
+    """Errors of 0.02 to 0.5 rad beside deviations of 0.05: NIS is given, the estimate is as before.
+
+    One without a gate, and the same filter beside others, give the bits that a used one has.
+    """
+    errors = np.array([[0.02, 0, 0], [0.1, 0, 0], [0.3, 0, 0], [0.5, 0, 0]])
+    free, f = filters(kind), filters(kind)
+    nis = update(free, measured, errors)
+    before = state(f)
+    gate = float(np.sqrt(nis[1] * nis[2]))
+    found = update(f, measured, errors, gate=gate)
+    assert np.array_equal(found, nis)
+    assert (np.diff(nis) > 0.0).all()
+    assert changed(before, f) == [True, True, False, False]
+    for a, b in zip(state(f), state(free), strict=True):
+        assert np.array_equal(a[:2], b[:2])
+    # NIS itself is within
+    g = filters(kind)
+    update(g, measured, errors, gate=float(nis[2]))
+    assert changed(before, g) == [True, True, True, False]
+
+
+def test_a_gate_keeps_a_filter_that_one_wrong_fix_would_lose():
+    """Fixes with a deviation of 1 mrad, of which 3 in 60 are wrong by a radian."""
+    rng = np.random.default_rng(3)
+    lost, kept = (es.MEKF(START, P0, **NOISE) for _ in range(2))
+    refused = []
+    for k in range(60):
+        error = rng.normal(0.0, 1e-3, 3) + (k % 20 == 19) * np.array([1.0, 0.0, 0.0])
+        seen = mul(START, exp(error))
+        for f, gate in ((lost, None), (kept, scipy.stats.chi2.ppf(0.9999, 3))):
+            f.predict(np.zeros(3), 1.0)
+            nis = f.update_attitude(seen, 1e-3, gate=gate)
+        if not nis <= scipy.stats.chi2.ppf(0.9999, 3):
+            refused.append(k)
+    assert refused == [19, 39, 59]
+    assert kept.nees(START, np.zeros(3)) < scipy.stats.chi2.ppf(0.999, 6)
+    assert lost.nees(START, np.zeros(3)) > 1e4
+
+
+def spread(P, n, seed):
+    """A filter of each of n true attitudes about START, drawn from a covariance; the generator."""
+    rng = np.random.default_rng(seed)
+    true = mul(START, exp(rng.normal(size=(n, 3)) @ np.linalg.cholesky(P).T))
+    covariance = scipy.linalg.block_diag(P, 1e-6 * np.eye(3))
+    start = np.tile(START, (n, 1))
+    return rng, true, es.MEKF(start, covariance, **NOISE), es.UKF(start, np.zeros(3), covariance)
+
+
+def follows(nis, degrees):
+    """A sample of χ²: its distribution to 0.015, 0.1 % of it above the limit of the guide."""
+    above = (nis > scipy.stats.chi2.ppf(0.999, degrees)).mean()
+    assert abs(above - 1e-3) < 5.0 * np.sqrt(1e-3 / len(nis))
+    assert scipy.stats.kstest(nis, "chi2", (degrees,)).statistic < 0.015
+
+
+# of one filter in some thousand
+few_are_too_wide = pytest.mark.filterwarnings("ignore:measured. an attitude")
+TILTED = matrix(START).T @ np.diag([1e-2, 1e-2, 0.3]) ** 2 @ matrix(START)
+
+
+@few_are_too_wide
+@each("P", [1e-4 * np.eye(3), 0.09 * np.eye(3), 0.25 * np.eye(3), TILTED])
+@each(("reference", "sigma"), [([0.0, 0.6, -0.8], 1e-2), ([3.0, 4.0, 12.0], 1.3)])
+def test_nis_of_vectors_is_chi_square(P, reference, sigma):
+    """Whatever is known of the attitude; a direction, without a length of its own, has two."""
+    rng, true, mekf, ukf = spread(P, 30_000, seed=5)
+    seen = np.einsum("nji,j->ni", matrix(true), reference) + rng.normal(0.0, sigma, (len(true), 3))
+    nis = mekf.update_vector(seen, reference, sigma)
+    follows(nis, 3)
+    assert np.array_equal(ukf.update_vector(seen, reference, sigma), nis)
+    size = np.linalg.norm(reference)
+    lengths = size / np.linalg.norm(seen, axis=1, keepdims=True)
+    _, _, direction, _ = spread(P, len(true), seed=5)
+    follows(direction.update_vector(lengths * seen, reference, sigma), 2)
+
+
+@each("sigma", [(1e-2, 1e-2, 1e-2), (1e-1, 1e-3, 1e-3)])
+@each("P", [0.25 * np.eye(3), TILTED])
+def test_nis_of_attitudes_is_chi_square(P, sigma):
+    rng, true, mekf, ukf = spread(P, 30_000, seed=6)
+    seen = mul(true, exp(rng.normal(size=(len(true), 3)) * sigma))
+    nis = mekf.update_attitude(seen, sigma)
+    follows(nis, 3)
+    assert np.array_equal(ukf.update_attitude(seen, sigma), nis)
+
+
+def test_a_vector_opposite_to_the_expected_one_is_refused():
+    """It is π away, about any axis across."""
+    f = filters("MEKF")
+    nis = f.update_vector(-matrix(START)[2], DOWN, 0.01)
+    assert nis == pytest.approx(np.pi**2 / (0.05**2 + 0.01**2), rel=0.05)
+
+
+@pytest.mark.parametrize("kind", ["MEKF", "UKF"])
+def test_a_gate_that_refuses_ten_measurements_in_a_row_warns(kind):
+    """Of one filter among others; ignored measurements do not count, used ones begin anew."""
+    f, good = filters(kind, invalid="skip"), np.zeros((4, 3))
+    wrong, lost = (good + np.array([[0.0], [0.0], [x], [0.0]]) for x in (1.0, np.nan))
+    before = f.q[2].copy()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for errors, times in ((wrong, 9), (good, 1), (wrong, 5), (lost, 5), (wrong, 4)):
+            for _ in range(times):
+                update(f, "vector", errors, gate=16.27)
+    with pytest.warns(UserWarning, match="gate: filter 2 has refused 10 measurements in a row"):
+        update(f, "attitude", wrong, gate=16.27)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        update(f, "vector", lost, gate=16.27)
+        update(f, "vector", wrong, gate=16.27)
+    assert angle(f.q[2], before) < 1e-9
+    alone = es.MEKF(START, P0, **NOISE)
+    with pytest.warns(UserWarning, match="gate: the filter has refused 10"):
+        [alone.update_vector(matrix(START)[0], DOWN, 0.01, gate=16.27) for _ in range(10)]
+
+
+# what is not finite
+
+
+# attitudes are of any length
+LEFT_OUT = [("vector", 1e200), *((m, x) for m in ("vector", "attitude") for x in (np.nan, np.inf))]
+
+
+@each(("measured", "bad"), LEFT_OUT)
+@each("kind", ["MEKF", "UKF"])
+def test_measurements_that_are_not_finite_are_left_out(kind, measured, bad):
+    """For their filter alone: the others are as if nothing was wrong."""
+    f, good = filters(kind, invalid="skip"), filters(kind)
+    gates = {"gate": np.inf} if bad == np.inf else {}
+    rows = mul(MANY, exp(np.full((4, 3), 0.01)))
+    if measured == "vector":
+        rows = np.einsum("nji,j->ni", matrix(rows), DOWN)
+    wrong = rows.copy()
+    wrong[2, 1] = bad
+    options = (DOWN, 0.01) if measured == "vector" else (0.01,)
+    before = state(f)
+    with np.errstate(over="ignore", invalid="ignore"):
+        nis = getattr(f, f"update_{measured}")(wrong, *options, **gates)
+    expected = getattr(good, f"update_{measured}")(rows, *options)
+    assert not np.isfinite(nis[2])
+    assert np.isnan(nis[2]) or not np.isnan(bad)
+    assert changed(before, f) == [True, True, False, True]
+    others = [0, 1, 3]
+    assert np.array_equal(nis[others], expected[others])
+    for a, b in zip(state(f), state(good), strict=True):
+        assert np.array_equal(a[others], b[others])
+
+
+@each("kind", ["MEKF", "UKF"])
+def test_what_is_no_measurement_is_refused_or_left_out(kind):
+    f, rows = filters(kind), np.tile(DOWN, (4, 1))
+    before, nan, zero = state(f), rows.copy(), rows.copy()
+    nan[2, 1], zero[1] = np.nan, 0.0
+    for measured, reference, message in (
+        (nan, DOWN, r"measured\[2, 1\] is nan; accepted: finite numbers"),
+        (DOWN, nan, r"reference\[2, 1\] is nan"),
+        ([np.inf, 0.0, 0.0], DOWN, r"measured\[0\] is inf"),
+        (zero, DOWN, r"measured\[1\] is the zero vector; accepted: any other"),
+        (np.zeros(3), DOWN, "measured is the zero vector"),
+        (DOWN, zero, r"reference\[1\] is the zero vector"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            f.update_vector(measured, reference, 0.01)
+    with pytest.raises(ValueError, match=r"measured\[1, 2\] is nan"):
+        f.update_attitude(np.where(np.arange(16).reshape(4, 4) == 6, np.nan, MANY), 0.01)
+    with pytest.raises(ValueError, match="invalid: found 'flag'; accepted: raise, skip"):
+        filters(kind, invalid="flag")
+    for gate in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match=r"gate: found .*; accepted: a number above 0, or N"):
+            update(f, "attitude", np.zeros((4, 3)), gate=gate)
+    assert changed(before, f) == [False] * 4
+    none = MANY.copy()
+    none[1] = 0.0
+    for call in (
+        lambda f: f.update_vector(zero, DOWN, 0.01),
+        lambda f: f.update_vector(DOWN, zero, 0.01),
+        lambda f: f.update_attitude(none, 0.01),
+    ):
+        skipping = filters(kind, invalid="skip")
+        assert np.isnan(call(skipping)[1])
+        assert not changed(before, skipping)[1]
+
+
+def test_a_zero_vector_has_no_nis_in_compiled_code():
+    zero = (0.0, 0.0, 0.0)
+    P = (1e-2, 0.0, 0.0, 1e-2, 0.0, 1e-2), (0.0,) * 9, (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+    for measured, reference in ((zero, tuple(DOWN)), (tuple(DOWN), zero)):
+        found = es.mekf_update_vector(tuple(START), zero, P, measured, reference, 1e-4)
+        assert np.isnan(found[3])
+
+
+def test_gyro_samples_that_are_not_finite_are_refused():
+    f = filters("MEKF")
+    before = state(f)
+    rates = np.zeros((4, 3))
+    rates[3, 0] = np.inf
+    with pytest.raises(ValueError, match=r"gyro\[3, 0\] is inf; accepted: finite numbers"):
+        f.predict(rates, 0.1)
+    with pytest.raises(ValueError, match=r"gyro\[1\] is nan"):
+        es.MEKF(START, P0, **NOISE).predict([0.0, np.nan, 0.0], 0.1)
+    for dt in (0.0, -0.1, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"dt: found .*; accepted: an interval above 0"):
+            f.predict(np.zeros(3), dt)
+    assert changed(before, f) == [False] * 4
+
+
+@pytest.mark.parametrize("copied", [lambda f: f, copy.deepcopy])
+def test_gyro_samples_that_are_not_finite_are_held(copied):
+    """The last good one of the filter; before the first it does not turn, bias off."""
+    bias = np.array([0.01, 0.0, -0.02])
+    w = np.array([0.1, -0.2, 0.3])
+    f = es.MEKF(MANY, P0, bias=bias, invalid="skip", **NOISE)
+    good = es.MEKF(MANY, P0, bias=bias, **NOISE)
+    first, then = np.tile(w, (4, 1)), np.tile(2.0 * w, (4, 1))
+    first[1, 0] = then[1, 2] = then[3, 1] = np.nan
+    f.predict(first, 0.1)
+    f = copied(f)
+    f.predict(then, 0.1)
+    good.predict(np.stack([w, bias, w, w]), 0.1)
+    good.predict(np.stack([2.0 * w, bias, 2.0 * w, w]), 0.1)
+    for a, b in zip(state(f), state(good), strict=True):
+        assert np.array_equal(a, b)
+    f.predict([np.nan] * 3, 0.1)
+    good.predict(np.stack([2.0 * w, bias, 2.0 * w, w]), 0.1)
+    assert np.array_equal(f.q, good.q)
+
+
+# the mean of sigma points
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_the_mean_of_sigma_points_is_where_their_errors_cancel(size):
+    """After a motion that bends them to one side: turns by δ become turns by δ and |δ|² about z."""
+
+    def bend(q, y):
+        d = es.attitude_error(START, q)
+        more = np.zeros_like(d)
+        more[:, 2] = (d**2).sum(axis=1)
+        return mul(START, exp(d + more)), y
+
+    P = np.diag([size**2 / 12.0] * 3 + [1e-6] * 3)
+    f = es.UKF(START, np.zeros(3), P)
+    q, y = f.sigma_points()
+    moved, _ = bend(q[0], y[0])
+    weights = np.array([1.0, *[0.5] * 12]) / 7.0
+    f.predict(bend, np.zeros((6, 6)))
+    errors = es.attitude_error(START, moved)
+    begun, left = (np.linalg.norm(weights @ d) for d in (errors, es.attitude_error(f.q, moved)))
+    assert begun > 0.01
+    # a step is out by the second-order term of Jr⁻¹, |d|²/12
+    assert left <= begun * ((errors**2).sum(axis=1).max() / 12.0) ** 2
