@@ -94,11 +94,13 @@ class Code:
         """Elements of an array that does not change, at a vector of indices."""
         n, kind = index.type.count, pointer.type.pointee
         many, bits = ir.VectorType(kind, n), ir.VectorType(BIT, n)
-        at = ir.VectorType(ir.PointerType(), n)
+        # LLVM before 17 has pointers to a type, which the names of its functions hold
+        is_opaque, suffix = str(pointer.type) == "ptr", _suffix(many)
+        at = ir.VectorType(ir.PointerType() if is_opaque else pointer.type, n)
         places = Line(self.b, at, f"getelementptr {kind}, {_typed(pointer)}, {_typed(index)}")
-        function = self.declared(
-            f"llvm.masked.gather.{_suffix(many)}.v{n}p0", many, [at, I32, bits, many]
-        )
+        name = f"v{n}p0{'' if is_opaque else suffix.removeprefix(f'v{n}')}"
+        arguments = [at, I32, bits, many]
+        function = self.declared(f"llvm.masked.gather.{suffix}.{name}", many, arguments)
         every, none = ir.Constant(bits, [1] * n), ir.Constant(many, ir.Undefined)
         return self.call(function, [places, ir.Constant(I32, 8), every, none])
 
