@@ -29,7 +29,7 @@ from test_readme import PAGES, in_blocks, in_text  # noqa: E402
 ELSEWHERE = (
     ".ci/run", "make commands", "make docs", "make format", "make layers", "make leaderboard",
     "make test", "make venv", "pip ", "pytest ",
-    "python bench/leaderboard.py", "python bench/method_table.py",
+    "python bench/leaderboard.py", "python bench/method_table.py", "python bench/mutations.py",
 )  # fmt: skip
 LIMIT = 900  # s, for a command that hangs
 
@@ -59,7 +59,7 @@ def run(command: str, folder: Path) -> str | None:
     # the environment is the checkout's: not to be made again from the copy
     program = program.replace("make ", "make -o .venv/.test -o .venv/.trade ", 1)
     if program.startswith("fastatt trade"):
-        program += " --quick"
+        program += " --quick --bodies 64" + " --methods rk4,exact" * ("--methods" not in program)
     variables = {
         "FASTATT_SMOKE": "1",
         # which one of the commands removes

@@ -14,6 +14,7 @@ import peers_bodies as peers
 import pytest
 
 import fastatt as fa
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.trade.measure import best_time
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
@@ -55,7 +56,7 @@ def median_error(scene: str, q: np.ndarray) -> float:
 CASES = [
     (scene, method, dtype)
     for scene, described in SCENES.items()
-    for method in fa.methods_for(described, "quat")
+    for method in methods_for(described, "quat")
     for dtype in ("float64", "float32")
 ]
 
@@ -120,7 +121,7 @@ def our_points(scene: str) -> list[tuple[float, float, str]]:
         return points[-1][1]
 
     for dtype in ("float64", "float32"):
-        for name in fa.methods_for(SCENES[scene], "quat"):
+        for name in methods_for(SCENES[scene], "quat"):
             for n in (1,) if name == "exact" else ladder:
                 call = lambda name=name, n=n, d=dtype: run(scene, name, n, d).q[-1]  # noqa: E731
                 if add(call, f"{name} {dtype}, {n} steps") < TARGETS[-1]:

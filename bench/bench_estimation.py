@@ -14,7 +14,10 @@ from numba import njit
 import fastatt as fa
 from fastatt import estimation
 from fastatt.estimation import preintegration as pre
+from fastatt.estimation.derivatives import Transition
+from fastatt.estimation.inertial_logs import Preintegration
 from fastatt.kernels import error_state, quat
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.trade.measure import best_time
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -187,7 +190,7 @@ def test_sample_transitions(benchmark, method, increments):
     )
     log = 0.1 * rates[:-1] if increments else rates  # 36 intervals: whole windows
 
-    def ours(bias) -> estimation.Transition:
+    def ours(bias) -> Transition:
         many = np.broadcast_to(log, (len(bias), *log.shape))
         return estimation.sample_transitions(
             many, 0.1, method=method, increments=increments, bias=bias
@@ -213,7 +216,7 @@ def test_sample_transitions(benchmark, method, increments):
 
 BODIES = [
     name
-    for name in fa.methods_for(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "quat")
+    for name in methods_for(fa.Scene(inertia=(2.0, 1.0, 2 / 3)), "quat")
     if fa.METHODS[name].is_stepped
 ][:FEW]
 
@@ -337,7 +340,7 @@ def test_many_logs(benchmark):
     n_logs, n = (4, 10) if SMOKE else (10_000, 100)
     gyro, accel = GENERATOR.normal(size=(n_logs, n, 3)), GENERATOR.normal(size=(n_logs, n, 3))
 
-    def ours() -> estimation.Preintegration:
+    def ours() -> Preintegration:
         return estimation.preintegrate(gyro, accel, H, gyro_noise=SIGMA_V, accel_noise=SIGMA_U)
 
     benchmark.pedantic(ours, rounds=1 if SMOKE else 5, warmup_rounds=1)

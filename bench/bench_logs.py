@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import fastatt as fa
-from fastatt.logs.attitudes import attitude_rows, write_attitudes
+from fastatt.gyro.attitudes import attitude_rows, write_attitudes
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 ROWS = 20_000 if SMOKE else 5_000_000

@@ -105,9 +105,8 @@ def _long_error(q: np.ndarray) -> float:
 
 
 @pytest.mark.benchmark(group="one long log beside a copy")
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("method", methods_for_samples())
-def test_one_long_log_beside_a_copy(benchmark, long_log, method, threads):
+def test_one_long_log_beside_a_copy(benchmark, long_log, method):
     """Beside it: numpy copying as many bytes as come in and go out, all to used memory."""
     out = np.ones((LONG, 4))
     source = np.ones(long_log.size + out.size)
@@ -115,7 +114,7 @@ def test_one_long_log_beside_a_copy(benchmark, long_log, method, threads):
     reference = _best(lambda: np.copyto(target, source))
 
     def run() -> np.ndarray:
-        return fa.integrate_rates(long_log, H, START, method=method, out=out, n_threads=threads)
+        return fa.integrate_rates(long_log, H, START, method=method, out=out)
 
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
     _report(benchmark, LONG, reference, "numpy's copy", _long_error(q))

@@ -18,7 +18,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 BOARD, DRIFT = ROOT / "bench" / "LEADERBOARD.md", ROOT / "bench" / "drift.csv"
-PAGES = (ROOT / "README.md", ROOT / "fastatt" / "docs" / "guides" / "choose-method.md")
+DOCS = ROOT / "fastatt" / "docs"
+PAGES = (ROOT / "README.md", DOCS / "guides" / "choose-method.md", DOCS / "tutorial.md")
 TARGETS = ("1e-3", "1e-6", "1e-9", "1e-12")
 #: groups of the leaderboard's problems, by words of their titles that others lack
 GROUPS = {

@@ -97,6 +97,10 @@ def cases():
         ),
     )  # fmt: skip
     crowd = ensemble(100_000)
+    yield (
+        "10^5 bodies, exact, one save", 100_000 * 100,
+        lambda: fa.propagate(FREE, *crowd, dt=0.01, n_steps=100, method="exact", n_threads=1),
+    )  # fmt: skip
     event = fa.event(height)
     yield (
         "10^5 bodies, an event", 100_000 * 200,

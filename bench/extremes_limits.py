@@ -14,6 +14,7 @@ from extremes.samples import coning_log
 from numpy.typing import NDArray
 
 import fastatt as fa
+from fastatt.methods import Method
 
 # where each method stops
 
@@ -64,7 +65,7 @@ def told_by(status: NDArray[np.uint8]) -> str:
     return ", ".join(names) + ("" if status.all() else " (not all)")
 
 
-def limits_table() -> Iterable[str]:
+def limits_table(methods: Iterable[Method]) -> Iterable[str]:
     """Each method's limits and what happens at and beyond them, on quaternions in float64."""
     yield from ("## Where each method stops", "")
     yield (
@@ -76,7 +77,7 @@ def limits_table() -> Iterable[str]:
     )
     yield from ("", "| method | for | limit | error at it, rad a rad | beyond | c h/I up to |")
     yield "| --- | --- | --- | --- | --- | --- |"
-    for record in fa.METHODS.values():
+    for record in methods:
         case = Case(record.name)
         damped = number(record.damping_limit) if "torqued" in record.scenes else ""
         for scene, run in (("rate", steps_of_cones), ("free", steps_of_bodies)):
@@ -139,7 +140,7 @@ def ends_of_logs(case: Case) -> Iterable[tuple[float, float]]:
         yield h * 2.0 * math.sin(0.5), float(angle(q[-1], truth[-1]))
 
 
-def floors_table() -> Iterable[str]:
+def floors_table(methods: Iterable[Method]) -> Iterable[str]:
     """Where rounding takes over, for each method and both precisions, on quaternions."""
     yield from ("## The least error of each precision", "")
     yield (
@@ -155,7 +156,7 @@ def floors_table() -> Iterable[str]:
         "sampled rates": ("sampled rates", ends_of_logs),
         "increments": ("increments", ends_of_logs),
     }
-    for record in fa.METHODS.values():
+    for record in methods:
         logs = "sampled rates" in record.scenes  # which say as much as increments
         scenes = [s for s in kinds if s in record.scenes and (s != "increments" or not logs)]
         for scene in scenes:

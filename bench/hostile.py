@@ -175,7 +175,7 @@ def advised(seed: int, number: int, *, declared: bool = False) -> tuple[str, str
     case = draw(seed, number, 12, declared=declared)
     try:
         chosen = fa.recommend(
-            case.scene, case.q0, case.w0, t_end=case.t_end, t0=case.t0, tol=case.tol,
+            case.scene, case.q0, case.w0, t_end=case.t0 + case.t_end, t0=case.t0, tol=case.tol,
             dtypes=["float64"], methods=["rk4", "magnus8"] if case.w0 is None else ["rk4", "rk8"],
         )  # fmt: skip
     except ValueError as refusal:
@@ -191,7 +191,13 @@ def stepped(seed: int, number: int, *, declared: bool = False) -> tuple[str, str
     method = ("rk8", "rk4", "rk9", "gbs16")[number // 5 % 4]
     try:
         chosen = fa.per_body_steps(
-            case.scene, case.q0, case.w0, t_end=case.t_end, t0=case.t0, tol=case.tol, method=method
+            case.scene,
+            case.q0,
+            case.w0,
+            t_end=case.t0 + case.t_end,
+            t0=case.t0,
+            tol=case.tol,
+            method=method,
         )
     except ValueError as refusal:
         if not str(refusal).startswith(("scene: ", "tol: ")):

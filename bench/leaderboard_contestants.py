@@ -23,6 +23,7 @@ from leaderboard_solvers import PYTHON, QUICK, Contestant, Run, at_tolerance, to
 import fastatt as fa
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.kernels import free_body, heavy_top
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.inspect_step import job_of
 
 OURS = "fastatt"
@@ -36,7 +37,7 @@ _SINGLE = ("magnus4", "magnus6", "cf4", "rk8", "exact", "trapezoid", "previous",
 
 
 def _ours(problem: Problem, quick: bool) -> Iterator[Contestant]:
-    names = methods_for_samples() if problem.sampled else fa.methods_for(problem.scene, "quat")
+    names = methods_for_samples() if problem.sampled else methods_for(problem.scene, "quat")
     # the closed form and high orders first: lower ones need not be refined beyond their times
     for name in sorted(names, key=lambda name: -(fa.METHODS[name].order or math.inf)):
         if quick and name not in QUICK["methods"][problem.kind]:

@@ -21,6 +21,7 @@ import numpy as np
 import wheel_feedback
 
 import fastatt as fa
+from fastatt.gyro import GyroLog
 from fastatt.trade.ensembles import coning_rates
 from fastatt.trade.reference import coning_attitudes
 
@@ -363,7 +364,7 @@ def recording(name: str) -> Path:
     return Path(path.locate())
 
 
-def recorded(name: str) -> fa.GyroLog:
+def recorded(name: str) -> GyroLog:
     """Its samples, in rad/s, which the files do not say."""
     return fa.read_gyro_log(recording(name), unit="rad/s")
 

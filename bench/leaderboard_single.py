@@ -5,7 +5,7 @@ from __future__ import annotations
 from leaderboard_contestants import our_plans
 from leaderboard_problems import MANY, PROBLEMS
 
-import fastatt as fa
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.trade.measure import best_time
 
 _PROBLEMS = ("coning-small", "coning-large", "free", "top")
@@ -18,7 +18,7 @@ def single_table(*, quick: bool) -> str:
     lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
     for name in _PROBLEMS[:1] if quick else _PROBLEMS:
         problem = PROBLEMS[name](quick)
-        for method in fa.methods_for(problem.scene, "quat")[: 2 if quick else None]:
+        for method in methods_for(problem.scene, "quat")[: 2 if quick else None]:
             steps = 1 if method == "exact" else _STEPS
             double, single = (
                 next(our_plans(problem, method, dtype, (steps,))(MANY))

@@ -40,7 +40,7 @@ def chains(kind: str) -> tuple[Any, NDArray[Any]]:
     inputs = {("x", k): Place(k) for k in range(2)}
     inputs |= {("chain", k): row for k, row in enumerate(rows)}
     formula = LaneFormula(Flat(graph, values, kind), inputs, rows)
-    made = LaneProgram(_TEXT, {"formula": formula}, shape, (kind,), (), numbers=1)
+    made = LaneProgram(_TEXT, {"formula": formula}, shape, {"rows": kind}, (), numbers=1)
     return made.compiled(), aligned((2 + CHAINS) * lanes, DTYPES[kind])
 
 

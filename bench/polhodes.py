@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import fastatt as fa
+from fastatt import plots
 from fastatt.trade.ensembles import TRIAXIAL
 
 PICTURES = Path(__file__).parents[1] / "fastatt" / "docs" / "pictures"
@@ -31,4 +32,4 @@ def motion() -> fa.Trajectory:
 
 if __name__ == "__main__":
     path = Path(sys.argv[1]) if sys.argv[1:] else PICTURES / "polhodes.png"
-    fa.plots.polhode(motion(), SCENE, path)
+    plots.polhode(motion(), SCENE, path)

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import fastatt as fa
 from fastatt import estimation as es
+from fastatt.interchange import from_scipy
 
 UP = np.array([0.0, 0.0, 1.0])
 GATE = 13.82  # 1 in 1000 of two degrees of freedom
@@ -80,7 +81,7 @@ def follow(r: Recording) -> tuple[np.ndarray, np.ndarray]:
     turn, _, sensitivity = Rotation.align_vectors(
         [UP, known], [pull / gravity, field / strength], WEIGHTS, return_sensitivity=True
     )
-    start = fa.from_scipy(turn)
+    start = from_scipy(turn)
     bias, noise = r.rates[rest].mean(axis=0), r.rates[rest].var(axis=0) / r.still
     P = es.covariance_to_body(block_diag(sensitivity / WEIGHTS.mean(), np.diag(noise)), start)
     ahrs = es.MEKF(start, P, bias=bias, angle_noise=3e-3, bias_noise=1e-5)

@@ -13,111 +13,89 @@ w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ 
 
 from __future__ import annotations
 
-import functools
 import importlib
-from typing import TYPE_CHECKING, Any
+import importlib.util
+from typing import Any
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "METHODS", "ConvergenceCheck", "ConvergenceWarning", "Drift",
-    "Event", "GyroIntegrator", "GyroLog", "GyroLogError", "GyroLogWarning", "Method",
-    "PerBodySteps", "Plan", "Recommendation", "Scene", "Status", "StepWarning",
-    "TimeSeries", "Trajectory", "WorkPrecision", "angle_between", "angular_momentum",
-    "angular_velocity", "check_convergence", "closed_form", "dcm_to_quat", "drift",
-    "estimation", "euler313_to_quat", "euler_to_quat", "event",
-    "forces", "from_scipy", "gyro_steps", "inspect_step", "integrate_rates", "interchange",
-    "interpolate", "kernels", "kinetic_energy", "lie_group", "mean_attitude",
-    "methods_for", "mrp_to_quat", "per_body_steps", "plan", "plots", "potential_energy",
-    "propagate", "propagate_directions", "quat_multiply", "quat_rotate", "quat_rotate_inverse",
-    "quat_to_dcm", "quat_to_euler", "quat_to_euler313", "quat_to_mrp", "quat_to_rotation_vector",
-    "rates", "read_gyro_log", "recommend", "resume", "rotation_vector_to_quat", "runge_kutta",
-    "single_step", "to_file", "to_scipy", "torques", "work_precision",
-]  # fmt: skip
-
-# modules are imported when they are first used, so that a process loads only those it needs
-if TYPE_CHECKING:
-    from fastatt import closed_form, estimation, interchange, kernels, plots
-    from fastatt.arrays import (
-        angle_between,
-        dcm_to_quat,
-        euler313_to_quat,
-        mrp_to_quat,
-        quat_multiply,
-        quat_rotate,
-        quat_rotate_inverse,
-        quat_to_dcm,
-        quat_to_euler313,
-        quat_to_mrp,
-        quat_to_rotation_vector,
-        rotation_vector_to_quat,
-    )
-    from fastatt.engine.status import Status
-    from fastatt.estimation.filters import mean_attitude
-    from fastatt.estimation.single_steps import single_step
-    from fastatt.gyro import gyro_steps
-    from fastatt.gyro.integrate import integrate_rates
-    from fastatt.gyro.streaming import GyroIntegrator
-    from fastatt.interchange import from_scipy, to_scipy
-    from fastatt.interchange.euler import euler_to_quat, quat_to_euler
-    from fastatt.logs import GyroLog, GyroLogError, GyroLogWarning, read_gyro_log
-    from fastatt.methods import METHODS, Method
-    from fastatt.methods.lie_group import lie_group
-    from fastatt.methods.runge_kutta import runge_kutta
-    from fastatt.propagation.angular_velocity import angular_velocity
-    from fastatt.propagation.choice_of_method import methods_for
-    from fastatt.propagation.directions import propagate_directions
-    from fastatt.propagation.drift import Drift, drift
-    from fastatt.propagation.energy import (
-        angular_momentum,
-        kinetic_energy,
-        potential_energy,
-    )
-    from fastatt.propagation.event import Event, event
-    from fastatt.propagation.histories import to_file
-    from fastatt.propagation.inspect_step import inspect_step
-    from fastatt.propagation.interpolation import interpolate
-    from fastatt.propagation.plan import Plan
-    from fastatt.propagation.propagate import plan, propagate
-    from fastatt.propagation.resume import resume
-    from fastatt.propagation.trajectory import Trajectory
-    from fastatt.rounding import StepWarning
-    from fastatt.scene import forces, rates, torques
-    from fastatt.scene.scene import Scene
-    from fastatt.scene.time_series import TimeSeries
-    from fastatt.trade.advice import recommend
-    from fastatt.trade.convergence import (
-        ConvergenceCheck,
-        ConvergenceWarning,
-        check_convergence,
-    )
-    from fastatt.trade.per_body import PerBodySteps, per_body_steps
-    from fastatt.trade.recommendation import Recommendation
-    from fastatt.trade.work_precision import WorkPrecision, work_precision
-
-
-@functools.cache
-def _held_by() -> dict[str, str]:
-    """The module of each name, as the imports above say, which a type checker alone runs."""
-    import ast
-    import inspect
-    import sys
-
-    lines = ast.walk(ast.parse(inspect.getsource(sys.modules[__name__])))
-    found = [x for x in lines if isinstance(x, ast.ImportFrom) and x.module]
-    return {name.name: line.module or "" for line in found for name in line.names}
+#: the module of each public name, which is imported when the name is first used, so that a process
+#: loads only what it needs; type checkers read ``__init__.pyi``
+_MODULES = {
+    "Scene": "fastatt.scene.scene",
+    "rates": "fastatt.scene",
+    "torques": "fastatt.scene",
+    "forces": "fastatt.scene",
+    "propagate": "fastatt.propagation.propagate",
+    "plan": "fastatt.propagation.propagate",
+    "resume": "fastatt.propagation.resume",
+    "event": "fastatt.propagation.event",
+    "to_file": "fastatt.propagation.histories",
+    "TimeSeries": "fastatt.scene.time_series",
+    "METHODS": "fastatt.methods",
+    "runge_kutta": "fastatt.methods.runge_kutta",
+    "lie_group": "fastatt.methods.lie_group",
+    "Trajectory": "fastatt.propagation.trajectory",
+    "Status": "fastatt.engine.status",
+    "StepWarning": "fastatt.rounding",
+    "drift": "fastatt.propagation.drift",
+    "interpolate": "fastatt.propagation.interpolation",
+    "closed_form": "fastatt",
+    "estimation": "fastatt",
+    "kernels": "fastatt",
+    "propagate_directions": "fastatt.propagation.directions",
+    "recommend": "fastatt.trade.advice",
+    "work_precision": "fastatt.trade.work_precision",
+    "check_convergence": "fastatt.trade.convergence",
+    "ConvergenceWarning": "fastatt.trade.convergence",
+    "per_body_steps": "fastatt.trade.per_body",
+    "inspect_step": "fastatt.propagation.inspect_step",
+    "integrate_rates": "fastatt.gyro.integrate",
+    "GyroIntegrator": "fastatt.gyro.streaming",
+    "gyro_steps": "fastatt.gyro",
+    "read_gyro_log": "fastatt.gyro.read",
+    "GyroLogError": "fastatt.gyro.log",
+    "single_step": "fastatt.estimation.single_steps",
+    "angle_between": "fastatt.arrays",
+    "quat_multiply": "fastatt.arrays",
+    "quat_rotate": "fastatt.arrays",
+    "quat_rotate_inverse": "fastatt.arrays",
+    "quat_to_dcm": "fastatt.arrays",
+    "dcm_to_quat": "fastatt.arrays",
+    "quat_to_mrp": "fastatt.arrays",
+    "mrp_to_quat": "fastatt.arrays",
+    "quat_to_euler313": "fastatt.arrays",
+    "euler313_to_quat": "fastatt.arrays",
+    "quat_to_rotation_vector": "fastatt.arrays",
+    "rotation_vector_to_quat": "fastatt.arrays",
+    "quat_to_euler": "fastatt.interchange.euler",
+    "euler_to_quat": "fastatt.interchange.euler",
+    "kinetic_energy": "fastatt.propagation.energy",
+    "angular_momentum": "fastatt.propagation.energy",
+}
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        of_kernels: list[str] = importlib.import_module("fastatt.kernels").__all__
-        place = f" (in fastatt.kernels: {name})" if name in of_kernels else ""
-        raise AttributeError(f"module 'fastatt' has no attribute {name!r}{place}")
-    module = importlib.import_module(_held_by()[name])
-    found = vars(module).get(name) or importlib.import_module(f"{module.__name__}.{name}")
-    globals()[name] = found
-    return found
+    if name not in _MODULES:
+        raise AttributeError(f"module 'fastatt' has no attribute {name!r}{_place_of(name)}")
+    module = importlib.import_module(_MODULES[name])
+    value = vars(module).get(name) or importlib.import_module(f"{module.__name__}.{name}")
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:
     return __all__
+
+
+def _place_of(name: str) -> str:
+    """The end of a message: where a name is, or the most similar one."""
+    from fastatt.checks import nearest
+
+    if importlib.util.find_spec(f"fastatt.{name}"):
+        return f" (a module: import fastatt.{name})"
+    for place in ("kernels", "interchange", "estimation"):
+        if name in importlib.import_module(f"fastatt.{place}").__all__:
+            return f" (in fastatt.{place}: {name})"
+    return nearest(name, __all__)

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from numba import config, njit, types
-from numba.core.caching import FunctionCache
-from numba.core.errors import TypingError
 from numba.extending import register_jitable
+
+from fastatt._numba import LOOP, TypingError, compiled, forget, keep
 
 _ARITHMETIC: dict[str, Any] = {
     "error_model": "numpy",
@@ -27,15 +27,18 @@ _ARITHMETIC: dict[str, Any] = {
     "nogil": True,
 }
 _INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
-# a loop allocates nothing; without this option of Numba's, which is not documented and which it
-# refuses if it is not there, atomic counts of references take longer than cheap formulas
-_LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
+_LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True, **LOOP}
 
 
 if config.DISABLE_JIT:
     raise ImportError(
         f"NUMBA_DISABLE_JIT: found {config.DISABLE_JIT}; accepted: unset or 0, since formulas and "
         "loops run as machine code only"
+    )
+if not Path(__file__).with_suffix(".py").is_file():
+    raise ImportError(
+        f"fastatt: found {__file__} without its source; accepted: an installation in folders with "
+        "all .py files, from which formulas are made"
     )
 
 # what was compiled lives as long as these references
@@ -58,10 +61,9 @@ def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
             if not is_kept:
                 raise
             with contextlib.suppress(Exception):
-                FunctionCache(function).flush()
+                forget(function)
     _MACHINES.append(dispatcher)
-    (made,) = dispatcher.overloads.values()
-    return made.entry_point  # type: ignore[no-any-return]
+    return compiled(dispatcher)
 
 
 #: a part of a machine
@@ -99,8 +101,7 @@ def _kept(dispatcher: Any) -> None:
         if first:
             first = False
             with contextlib.suppress(RuntimeError):
-                dispatcher.enable_caching()
-                dispatcher._cache._cache_file._source_stamp = _sources()  # noqa: SLF001
+                keep(dispatcher, _sources())
         return compile_signature(sig)
 
     dispatcher.compile = compile_kept
@@ -151,15 +152,9 @@ def plain(function: Any) -> Callable[..., Any]:
     return found
 
 
-def recompile(function: Callable[..., Any]) -> Any:
-    """Compile a user-defined function with the kernels' options, so that LLVM can inline it."""
-    return njit(**_INLINED)(getattr(function, "py_func", function))
-
-
-def with_options_of(dispatcher: Any, function: Callable[..., Any]) -> Any:
-    """Compile a function with the options of another one."""
-    options = {k: x for k, x in dispatcher.targetoptions.items() if k != "nopython"}
-    return njit(**options)(function)
+def checked(function: Callable[..., Any]) -> Any:
+    """Compile a user-defined function with checks of indices and Python's division."""
+    return njit(boundscheck=True, error_model="python", nogil=True)(function)
 
 
 def helper(function: Any) -> Any:

@@ -22,11 +22,11 @@ _FARTHEST = 1e50
 _PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459230781640628620900")
 
 
-def on_rows(formula: Any, *given: NDArray[Any], after: int | None) -> NDArray[Any]:
+def on_rows(formula: Any, *arrays: NDArray[Any], after: int | None) -> NDArray[Any]:
     """Apply a formula to rows (..., n) that broadcast: gives (..., after), or (...) for None."""
-    inputs = {f"x{k}": x.shape[-1] for k, x in enumerate(given)}
-    kind = kind_of(np.result_type(*given))
-    return rows(formula, inputs, (after,), kind)(*given)[0]
+    inputs = {f"x{k}": x.shape[-1] for k, x in enumerate(arrays)}
+    kind = kind_of(np.result_type(*arrays))
+    return rows(formula, inputs, (after,), kind)(*arrays)[0]
 
 
 @cache
@@ -37,29 +37,29 @@ def _of_unit(formula: Any) -> Any:
 
 def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
     """Float32 or float64 numbers whose last axes are ``tail``."""
-    found = checks.numbers(name, value, "real numbers")
-    if found.shape[found.ndim - len(tail) :] != tail:
+    array = checks.numbers(name, value, "real numbers")
+    if array.shape[array.ndim - len(tail) :] != tail:
         accepted = ", ".join(map(str, tail))
-        raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., {accepted})")
-    return found
+        raise ValueError(f"{name}: has shape {array.shape}; accepted: (..., {accepted})")
+    return array
 
 
 def angles_of(name: str, value: ArrayLike, shorter: Any) -> NDArray[Any]:
     """Rows of three angles; ``shorter`` subtracts revolutions from long rows of decimals."""
-    found = floats(name, value, (3,))
-    near = _NEAR[found.itemsize]
-    if -near <= found.min(initial=0.0) and found.max(initial=0.0) <= near:
-        return found
-    too_far = np.isfinite(found) & (np.abs(found.astype(np.float64)) > _FARTHEST)
-    checks.refuse(name, found, too_far, f"up to {_FARTHEST:g} rad")
-    size = np.abs(found).max(axis=-1)
-    far, found = np.isfinite(size) & (size > near), np.array(found)
+    angles = floats(name, value, (3,))
+    near = _NEAR[angles.itemsize]
+    if -near <= angles.min(initial=0.0) and angles.max(initial=0.0) <= near:
+        return angles
+    too_far = np.isfinite(angles) & (np.abs(angles.astype(np.float64)) > _FARTHEST)
+    checks.refuse(name, angles, too_far, f"up to {_FARTHEST:g} rad")
+    size = np.abs(angles).max(axis=-1)
+    far, angles = np.isfinite(size) & (size > near), np.array(angles)
     with localcontext() as context:
         context.prec = 160
         for k in np.argwhere(far):
             row = tuple(k)
-            found[row] = [float(x) for x in shorter([Decimal(float(x)) for x in found[row]])]
-    return found
+            angles[row] = [float(x) for x in shorter([Decimal(float(x)) for x in angles[row]])]
+    return angles
 
 
 def each_shorter(angles: list[Decimal]) -> list[Decimal]:
@@ -99,8 +99,8 @@ def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
            [ 1.,  0.,  0.],
            [ 0.,  0.,  1.]])
     """
-    found = on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
-    return found.reshape((*found.shape[:-1], 3, 3))
+    elements = on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
+    return elements.reshape((*elements.shape[:-1], 3, 3))
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
@@ -136,10 +136,11 @@ def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
 
 
 def _rotations(name: str, C: Any) -> NDArray[Any]:
-    found = floats(name, C, (3, 3))
+    matrices = floats(name, C, (3, 3))
     with np.errstate(all="ignore"):  # matrices that are not finite give NaN
-        size = (found[..., 0] * np.cross(found[..., 1], found[..., 2])).sum(axis=-1)
-        gram = np.swapaxes(found, -1, -2) @ found
+        x, y, z = (matrices[..., k] for k in range(3))
+        size = (x * np.cross(y, z)).sum(axis=-1)
+        gram = np.swapaxes(matrices, -1, -2) @ matrices
         error = np.abs(gram - np.eye(3)).max(axis=(-2, -1))
     wrong = (size <= 0.0) | (error > _NOT_ORTHOGONAL)
     if wrong.any():
@@ -148,12 +149,12 @@ def _rotations(name: str, C: Any) -> NDArray[Any]:
             f"{name}{list(k) or ''}: found the determinant {size[k]:.3g}, and CᵀC off the identity "
             f"by {error[k]:.3g}; accepted: rotations, of determinant 1, to {_NOT_ORTHOGONAL}"
         )
-    return found
+    return matrices
 
 
-def quaternions_of(found: NDArray[Any]) -> NDArray[Any]:
+def quaternions_of(matrices: NDArray[Any]) -> NDArray[Any]:
     """Unit quaternions of matrices that may not be orthogonal after propagation."""
-    return on_rows(dcm.to_quat, found.reshape((*found.shape[:-2], 9)), after=4)
+    return on_rows(dcm.to_quat, matrices.reshape((*matrices.shape[:-2], 9)), after=4)
 
 
 def euler313_to_quat(angles: ArrayLike) -> NDArray[Any]:
@@ -466,8 +467,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> Any:
     """
     p, q = as_quat("a", a), as_quat("b", b)
     check_broadcast("a", p, "b", q)
-    found = on_rows(_angle, p, q, after=None)
-    return found if found.ndim else float(found)
+    angles = on_rows(_angle, p, q, after=None)
+    return angles if angles.ndim else float(angles)
 
 
 def _angle(p: Any, q: Any) -> Any:
@@ -476,9 +477,9 @@ def _angle(p: Any, q: Any) -> Any:
 
 def as_quat(name: str, value: ArrayLike) -> NDArray[Any]:
     """Quaternions (..., 4) from quaternions or rotation matrices (..., 3, 3)."""
-    found = checks.numbers(name, value, "real numbers")
-    if found.shape[-2:] == (3, 3):
-        return quaternions_of(_rotations(name, found))
-    if found.shape[-1:] != (4,):
-        raise ValueError(f"{name}: has shape {found.shape}; accepted: (..., 4) and (..., 3, 3)")
-    return found
+    array = checks.numbers(name, value, "real numbers")
+    if array.shape[-2:] == (3, 3):
+        return quaternions_of(_rotations(name, array))
+    if array.shape[-1:] != (4,):
+        raise ValueError(f"{name}: has shape {array.shape}; accepted: (..., 4) and (..., 3, 3)")
+    return array

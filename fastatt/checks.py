@@ -10,6 +10,7 @@ from contextlib import suppress
 from datetime import timedelta
 from difflib import get_close_matches
 from functools import lru_cache, reduce
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,6 @@ def choice(name: str, value: object, accepted: Iterable[str]) -> str:
     return value
 
 
-def flags_invalid(invalid: object) -> bool:
-    """Whether the argument ``invalid`` is "flag"; the other accepted word is "raise"."""
-    return choice("invalid", invalid, ("raise", "flag")) == "flag"
-
-
 def nearest(value: object, words: Iterable[str]) -> str:
     """The end of a message, which suggests the most similar word; empty if there is none.
 
@@ -46,8 +42,8 @@ def nearest(value: object, words: Iterable[str]) -> str:
     by_form = {word.casefold(): word for word in words}
     form = value.casefold()[:60] if isinstance(value, str) else ""
     begun = [word for word in by_form if len(word) > 2 and form.startswith(word)]
-    found = get_close_matches(form, by_form, n=1) or sorted(begun, key=len)[-1:]
-    return f" (nearest: {by_form[found[0]]})" if found else ""
+    close = get_close_matches(form, by_form, n=1) or sorted(begun, key=len)[-1:]
+    return f" (nearest: {by_form[close[0]]})" if close else ""
 
 
 def flag(name: str, value: Any) -> bool:
@@ -57,7 +53,7 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def function(name: str, value: Any, accepted: str = "a function") -> Any:
+def function(name: str, value: Any, accepted: str) -> Any:
     """Anything that can be called."""
     if not callable(value):
         raise TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
@@ -133,9 +129,9 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
         kinds = {np.asarray(a).dtype.newbyteorder("=") for a in tables}
         return _SINGLE if kinds == {_SINGLE} else _DOUBLE
     with suppress(TypeError, ValueError):
-        found: np.dtype[Any] = np.dtype(dtype)
-        if found in _PRECISIONS:
-            return found
+        kind: np.dtype[Any] = np.dtype(dtype)
+        if kind in _PRECISIONS:
+            return kind
     raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
 
 
@@ -147,13 +143,13 @@ def array(
     ``tails`` are these shapes (−1: any length but 0) if the text does not give them. All numbers
     must be finite, unless ``flag``.
     """
-    found = numbers(name, value, f"real numbers of shape {shapes}")
+    values = numbers(name, value, f"real numbers of shape {shapes}")
     for tail in tails or _tails(shapes):
-        if _fits(found.shape, tail):
+        if _fits(values.shape, tail):
             if not flag:
-                finite(name, found)
-            return found
-    raise ValueError(f"{name}: {shape(found)}; accepted: {shapes}")
+                finite(name, values)
+            return values
+    raise ValueError(f"{name}: {shape(values)}; accepted: {shapes}")
 
 
 def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
@@ -164,17 +160,17 @@ def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
     if type(value) is np.ndarray and value.flags.c_contiguous and value.dtype in _PRECISIONS:
         return value
     try:
-        found = np.asarray(value, order="C")
+        values = np.asarray(value, order="C")
     except (TypeError, ValueError):
-        found = np.asarray(None)
-    if found.dtype.kind not in "fiu":
+        values = np.asarray(None)
+    if values.dtype.kind not in "fiu":
         raise _not_numbers(name, value, accepted)
-    kind = found.dtype.newbyteorder("=")
+    kind = values.dtype.newbyteorder("=")
     with np.errstate(over="ignore"):
-        found = found.astype(kind if kind in _PRECISIONS else np.float64, copy=False)
+        values = values.astype(kind if kind in _PRECISIONS else np.float64, copy=False)
     if isinstance(value, np.ma.MaskedArray):
-        found = np.where(np.ma.getmaskarray(value), found.dtype.type(np.nan), found)
-    return found
+        values = np.where(np.ma.getmaskarray(value), values.dtype.type(np.nan), values)
+    return values
 
 
 def finite(name: str, value: Floats) -> None:
@@ -214,8 +210,8 @@ def attitudes(
     q = array(name, value, shapes, flag=flag)
     # four zeros at least; column by column: a third of the time of NumPy's any along rows of four
     has_zeros = not flag and np.count_nonzero(q) <= q.size - 4
-    if has_zeros and not (found := reduce(np.logical_or, q.T)).all():
-        where = [int(i) for i in np.argwhere(~found.T)[0]] or ""
+    if has_zeros and not (nonzero := reduce(np.logical_or, q.T)).all():
+        where = [int(i) for i in np.argwhere(~nonzero.T)[0]] or ""
         raise ValueError(f"{name}{where} is the zero quaternion; accepted: any other, unit or not")
     return q
 
@@ -223,11 +219,11 @@ def attitudes(
 @lru_cache(maxsize=256)
 def _tails(shapes: str) -> list[tuple[int, ...]]:
     """The shapes in the text of a message; a letter is any length but 0."""
-    found: list[tuple[int, ...]] = [()] if shapes.startswith("a number") else []
+    tails: list[tuple[int, ...]] = [()] if shapes.startswith("a number") else []
     for written in re.findall(r"\(([^)]*)\)", shapes):
         lengths = [part.strip() for part in written.split(",") if part.strip()]
-        found.append(tuple(int(n) if n.isdigit() else -1 for n in lengths))
-    return found
+        tails.append(tuple(int(n) if n.isdigit() else -1 for n in lengths))
+    return tails
 
 
 @lru_cache(maxsize=1024)
@@ -244,9 +240,20 @@ def _not_numbers(name: str, value: object, accepted: str) -> TypeError:
     return TypeError(f"{name}: found {brief(value)}; accepted: {accepted}")
 
 
-def shape(found: NDArray[Any]) -> str:
+def shape(array: NDArray[Any]) -> str:
     """An array's shape in the words of a message."""
-    return f"has shape {found.shape}{'' if found.size else ' and is empty'}"
+    return f"has shape {array.shape}{'' if array.size else ' and is empty'}"
+
+
+def optional(name: str, module: str, source: str) -> Any:
+    """A module of an optional package; without it ``ImportError`` says what installs it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.partition(".")[0]
+        raise ImportError(
+            f"{name}: needs {package}; install it with pip install '{source}'"
+        ) from None
 
 
 def brief(value: object) -> str:

@@ -16,11 +16,11 @@ import numpy as np
 from fastatt import __version__
 from fastatt.checks import attitudes, choice
 from fastatt.codegen import modules
+from fastatt.gyro.attitudes import attitude_rows, check_ending, write_attitudes
+from fastatt.gyro.columns import TIME_UNITS, UNITS
 from fastatt.gyro.integrate import methods_for_samples
-from fastatt.logs.attitudes import attitude_rows, check_ending, write_attitudes
-from fastatt.logs.gaps import ON_BAD_ROWS
-from fastatt.logs.log import read_gyro_log
-from fastatt.logs.names import TIME_UNITS, UNITS
+from fastatt.gyro.read import read_gyro_log
+from fastatt.gyro.rows import ON_BAD_ROWS
 from fastatt.methods import METHODS
 from fastatt.scene.torque_record import Dependence
 from fastatt.trade.ensembles import SCENES
@@ -33,10 +33,18 @@ _KINDS = {
     "torqued": ("torqued",),
     "samples": ("sampled rates", "increments"),
 }
+# options of a log that read it
+_READING = (
+    "columns", "unit", "rate", "time_column", "time_unit", "rows", "on_bad_rows", "max_gap",
+    "bias_seconds",
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns 0 on success, 2 after one line on standard error on bad input."""
+    """Run one command; returns 0 on success, 2 after one line on standard error on bad input.
+
+    Raises ``ImportError`` for a missing package, ``KeyboardInterrupt``.
+    """
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
@@ -51,15 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print("fastatt: standard output was closed before the end", file=sys.stderr)
         return 2
-    except (ValueError, TypeError, OSError, ImportError) as error:
+    except (ValueError, TypeError, OSError) as error:
         text = str(error)
         if isinstance(error, OSError) and error.strerror:
             text = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
         print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("fastatt: stopped", file=sys.stderr)
-        return 130
     return 0
 
 
@@ -72,8 +77,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="fastatt",
         description="Orientation of rigid bodies, propagated fast, with known error.",
+        epilog="example: fastatt trade --quick",
     )
-    parser.add_argument("--version", action="version", version=f"fastatt {__version__}")
+    parser.add_argument("-V", "--version", action="version", version=f"fastatt {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(
@@ -164,7 +170,7 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     )
     bad_rows = (
         "rows without a rate, stamps that do not increase, gaps: refuse (default), drop (intervals "
-        "span them), split (each piece begins at q0), hold (the last rates stay)"
+        "span them), split (each piece begins at q0)"
     )
     add("--on-bad-rows", choices=ON_BAD_ROWS, default="refuse", help=bad_rows)
     add("--max-gap", type=float, help="longest interval that is not a gap, s")
@@ -177,8 +183,8 @@ def _names(text: str) -> list[str]:
 
 
 def _pair(text: str) -> tuple[str, str]:
-    name, found, value = text.partition("=")
-    if not found:
+    name, sign, value = text.partition("=")
+    if not sign:
         raise argparse.ArgumentTypeError(f"found {text!r}; accepted: COLUMN=TEXT")
     return name, value
 
@@ -188,10 +194,6 @@ def _floats(text: str) -> list[float]:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise argparse.ArgumentTypeError(f"found {text!r}; accepted: numbers") from None
-
-
-def _bar_wanted(quiet: bool) -> bool:
-    return not quiet and sys.stderr.isatty() and find_spec("tqdm") is not None
 
 
 def _methods(arguments: argparse.Namespace) -> None:
@@ -225,19 +227,17 @@ def _integrate(arguments: argparse.Namespace) -> None:
     if not piped and out.exists() and out.samefile(arguments.log):
         raise ValueError(f"--out: found {out}, which is LOG; accepted: another file")
     check_ending(out)
-    said = ("columns", "unit", "rate", "time_column", "time_unit", "on_bad_rows", "max_gap")
-    given = {name: getattr(arguments, name) for name in (*said, "rows", "bias_seconds")}
-    method, split = arguments.method, arguments.on_bad_rows == "split"
-    log = read_gyro_log(arguments.log, **given)
-    rows = attitude_rows(log, q0, method, pieces=split)
+    log = read_gyro_log(arguments.log, **{name: getattr(arguments, name) for name in _READING})
+    rows = attitude_rows(log, q0, arguments.method, pieces=arguments.on_bad_rows == "split")
     write_attitudes(out, rows)
     print(log.summary)
-    print(f"{out}: {len(rows)} attitudes by {method}, body to inertial, scalar first")
+    print(f"{out}: {len(rows)} attitudes by {arguments.method}, body to inertial, scalar first")
 
 
 def _trade(arguments: argparse.Namespace) -> None:
+    is_watched = sys.stderr.isatty() and find_spec("tqdm") is not None
     run_trade(
         arguments.out, scenes=arguments.scene or SCENES, methods=arguments.methods,
         n_bodies=arguments.bodies, quick=arguments.quick, verbose=arguments.verbose,
-        progress=_bar_wanted(arguments.quiet),
+        progress=is_watched and not arguments.quiet,
     )  # fmt: skip

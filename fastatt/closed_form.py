@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +16,12 @@ from fastatt import checks, rounding
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import RowFunction, kind_of
-from fastatt.scene import torques
 from fastatt.scene.inertia import EQUAL, Principal, about_arm, is_symmetric, principal, refuse
 from fastatt.scene.scene import Scene
-from fastatt.scene.torque_record import Torque
-from fastatt.threads import each_in_threads, number_of
+from fastatt.scene.torque_record import lever_of
+from fastatt.threads import number_of
 from fastatt.tracing import formulas
-from fastatt.tracing.graph import Graph, flattened
+from fastatt.tracing.graph import flattened
 
 __all__ = ["free_body", "heavy_top", "symmetric_top"]
 
@@ -37,7 +35,6 @@ def free_body(
     allow_unphysical: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-    invalid: str = "raise",
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of torque-free bodies at any times, in closed form.
 
@@ -59,9 +56,6 @@ def free_body(
     n_threads : int, optional
         Number of threads; the default is every processor that this process may use. Results do not
         depend on it.
-    invalid : {"raise", "flag"}, default "raise"
-        "raise" refuses zero quaternions and values of ``q0`` and ``w0`` that are not finite. "flag"
-        returns NaN for these bodies alone.
 
     Returns
     -------
@@ -97,10 +91,9 @@ def free_body(
     >>> q.round(6)
     array([-0.144152,  0.611716,  0.777667,  0.016067])
     """
-    options = dtype, n_threads, invalid
     body = principal(inertia, allow_unphysical=allow_unphysical)
     _check_above_zero(body)
-    return _at_times(BodySolution(_FREE_BODY, body), q0, w0, t, options)
+    return _at_times(BodySolution(_FREE_BODY, body), q0, w0, t, dtype, n_threads)
 
 
 def symmetric_top(
@@ -112,7 +105,6 @@ def symmetric_top(
     allow_unphysical: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-    invalid: str = "raise",
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of torque-free bodies with two equal moments, in closed form.
 
@@ -135,8 +127,6 @@ def symmetric_top(
     dtype : {float64, float32}, optional
         As in :func:`free_body`.
     n_threads : int, optional
-        As in :func:`free_body`.
-    invalid : {"raise", "flag"}, default "raise"
         As in :func:`free_body`.
 
     Returns
@@ -164,7 +154,6 @@ def symmetric_top(
     >>> q.shape, w.shape
     ((4,), (3,))
     """
-    options = dtype, n_threads, invalid
     body = principal(inertia, allow_unphysical=allow_unphysical)
     _check_above_zero(body)
     refuse(
@@ -173,7 +162,7 @@ def symmetric_top(
         f"no two moments are equal to {EQUAL:g} of the largest",
         "a symmetric body, or free_body for any other",
     )
-    return _at_times(BodySolution(_SYMMETRIC_TOP, body), q0, w0, t, options)
+    return _at_times(BodySolution(_SYMMETRIC_TOP, body), q0, w0, t, dtype, n_threads)
 
 
 def heavy_top(
@@ -187,7 +176,6 @@ def heavy_top(
     allow_unphysical: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-    invalid: str = "raise",
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of heavy symmetric tops at any times, in closed form.
 
@@ -213,8 +201,6 @@ def heavy_top(
     dtype : {float64, float32}, optional
         As in :func:`free_body`.
     n_threads : int, optional
-        As in :func:`free_body`.
-    invalid : {"raise", "flag"}, default "raise"
         As in :func:`free_body`.
 
     Returns
@@ -250,16 +236,16 @@ def heavy_top(
     ((4,), (3,))
     """
     body = principal(inertia, allow_unphysical=allow_unphysical)
-    arms = checks.array("arm", arm, "(3,) or (N, 3)", [(3,), (-1, 3)]).astype(np.float64)
+    arms = checks.array("arm", arm, "(3,) or (N, 3)").astype(np.float64)
     weights = checks.array("weight", weight, "a number or (N,)").astype(np.float64)
     _same_rows({"arm": arms, "weight": weights[..., None], "inertia": body.moments})
-    form = _heavy_top_form(body, (arms, weights[..., None] * (0.0, 0.0, 1.0)))
-    return _at_times(form, q0, w0, t, (dtype, n_threads, invalid))
+    form = _heavy_top_form(body, arms, weights[..., None] * (0.0, 0.0, 1.0))
+    return _at_times(form, q0, w0, t, dtype, n_threads)
 
 
-def _same_rows(given: dict[str, NDArray[Any]]) -> int | None:
+def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
     """The number of bodies, None if no argument has rows; refuses different numbers but one."""
-    rows = {name: len(x) for name, x in given.items() if x.ndim == 2}
+    rows = {name: len(x) for name, x in arguments.items() if x.ndim == 2}
     first = next((name for name, n in rows.items() if n > 1), "")
     for name, n in rows.items():
         if n not in (1, rows.get(first, 1)):
@@ -268,17 +254,20 @@ def _same_rows(given: dict[str, NDArray[Any]]) -> int | None:
 
 
 def _at_times(
-    form: BodySolution, q0: ArrayLike, w0: ArrayLike, t: ArrayLike, options: tuple[Any, Any, str]
+    form: BodySolution,
+    q0: ArrayLike,
+    w0: ArrayLike,
+    t: ArrayLike,
+    dtype: DTypeLike | None,
+    n_threads: int | None,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    dtype, n_threads, invalid = options
     precision = checks.precision(dtype, q0, w0)
-    flag = checks.flags_invalid(invalid)
-    start = checks.attitudes("q0", q0, flag=flag)
-    rates = checks.array("w0", w0, "(3,) or (N, 3)", flag=flag)
+    start = checks.attitudes("q0", q0)
+    rates = checks.array("w0", w0, "(3,) or (N, 3)")
     times = checks.array("t", t, "a number or (T,)")
     threads = number_of(n_threads)
-    given = {"q0": start, "w0": rates, "inertia": form.body.moments, "arm, weight": form.pull}
-    n = _same_rows(given)
+    bodies = {"q0": start, "w0": rates, "inertia": form.body.moments, "arm, weight": form.pull}
+    n = _same_rows(bodies)
     if text := rounding.of_angles(turned(rates, times, form.gain), precision):
         rounding.warn(f"t: found rotations by {text}")
     flat = np.require(times.reshape(-1), precision, ["C", "A"])
@@ -290,10 +279,8 @@ def _at_times(
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
 
 
-# bodies whose constants stay in the cache, and times for which they need not
-_PIECE, _MANY = 8192, 16
-# inputs of a body, with their sizes; axes are those of ``Principal``, if there are any
-_GIVEN = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3}
+# inputs with their sizes; axes are those of ``Principal``, if there are any
+_INPUTS = {"q": 4, "w": 3, "moments": 3, "axes": 4, "pull": 3, "t": None}
 
 
 class Solution(NamedTuple):
@@ -340,23 +327,19 @@ class BodySolution(NamedTuple):
     gain: NDArray[np.float64] = np.zeros(())
 
 
-#: names of the torques for which there is a closed form
-_LEVERS = tuple(m.__name__ for m in Torque.__subclasses__() if m.lever is not None)
-_Lever = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
-def _heavy_top_form(body: Principal, lever: _Lever) -> BodySolution:
-    """The closed form of bodies with the lever that ``torques.lever_of`` found.
+def _heavy_top_form(
+    body: Principal, arm: NDArray[np.float64], pull: NDArray[np.float64]
+) -> BodySolution:
+    """The closed form of bodies with the lever that ``lever_of`` found.
 
     Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, with its index.
     """
-    arm, pull = lever
-    found, reach = about_arm(body, arm)
-    _check_above_zero(found)
+    top, reach = about_arm(body, arm)
+    _check_above_zero(top)
     pull = reach[..., None] * pull
     # A |w|² grows by 4 |pull| at most
-    gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / found.moments[..., 0])
-    return BodySolution(_HEAVY_TOP, found, pull, gain)
+    gain = 2.0 * np.sqrt(np.linalg.norm(pull, axis=-1) / top.moments[..., 0])
+    return BodySolution(_HEAVY_TOP, top, pull, gain)
 
 
 def form_of(scene: Scene) -> BodySolution:
@@ -381,13 +364,13 @@ def _form_of(scene: Scene) -> BodySolution:
     if scene.torque is None:
         _check_above_zero(scene.principal)
         return BodySolution(_FREE_BODY, scene.principal)
-    lever = torques.lever_of(scene.torque)
+    lever = lever_of(scene.torque)
     if lever is None:
         raise ValueError(
             f"torque: found {checks.brief(scene.torque)}; accepted by the closed form: none, or "
-            f"{' or '.join(_LEVERS)} of numbers"
+            "HeavyTop or MagneticDipole of numbers"
         )
-    return _heavy_top_form(scene.principal, lever)
+    return _heavy_top_form(scene.principal, *lever)
 
 
 def _check_above_zero(body: Principal) -> None:
@@ -400,36 +383,27 @@ def _check_above_zero(body: Principal) -> None:
 
 
 @functools.cache
-def _functions(
-    solution: Solution, kind: str, attitude: Attitude, is_turned: bool
-) -> tuple[RowFunction, RowFunction]:
-    """The constants of bodies, and their attitudes and angular velocities at times.
+def _function(solution: Solution, kind: str, attitude: Attitude, is_turned: bool) -> RowFunction:
+    """The attitudes and angular velocities of bodies at times.
 
     ``is_turned`` says that the principal axes are not the body axes.
     """
     quat = formulas.quat
 
-    def prepare(q: Any, w: Any, moments: Any, axes: Any, pull: Any) -> Any:
+    def constants(q: Any, w: Any, moments: Any, axes: Any, pull: Any) -> Any:
         if is_turned:
             q, w = quat.mul(q, axes), quat.rotate_inverse(axes, w)
         pulls = (pull,) if solution.pulled else ()
         return tuple(flattened(solution.prepare(quat.normalise(q), w, moments, *pulls)))
 
-    def state(constants: Any, moments: Any, axes: Any, t: Any) -> Any:
+    def state(q: Any, w: Any, moments: Any, axes: Any, pull: Any, t: Any, constants: Any) -> Any:
         q, w = solution.state(constants, moments, t)
         if is_turned:
             q, w = quat.mul(q, quat.conj(axes)), quat.rotate(axes, w)
         return q if attitude is QUATERNION else attitude.raw(attitude.start(q)), tuple(w)
 
-    graph = Graph()
-    n = len(prepare(*(graph.inputs(kind, name, size) for name, size in _GIVEN.items())))
-    inputs = {"constants": n, "moments": 3, "axes": 4, "t": None}
-    results = attitude.stored, 3
-    native = processor().fuses
-    return (
-        RowFunction(prepare, _GIVEN, (n,), kind, native=native),
-        RowFunction(state, inputs, results, kind, native=native),
-    )
+    native, results = processor().fuses, (attitude.stored, 3)
+    return RowFunction(state, _INPUTS, results, kind, native=native, constants=constants)
 
 
 def evaluate(
@@ -442,24 +416,10 @@ def evaluate(
 ) -> None:
     """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
     moments, axes = form.body
-    kind = kind_of(start[0].dtype)
-    prepare, state = _functions(form.solution, kind, attitude, axes is not None)
+    state = _function(form.solution, kind_of(start[0].dtype), attitude, axes is not None)
     # axes that are the body axes are not read
-    given = moments, np.zeros(4) if axes is None else axes, form.pull
-    q, w, *body = np.atleast_2d(*start, *given)
-
-    def some(rows: slice, threads: int) -> None:
-        given = [x if len(x) == 1 else x[rows] for x in (q, w, *body)]
-        (constants,) = prepare(*given, n_threads=threads)
-        own = [x[:, rows] for x in out]
-        state(constants, *given[2:4], t[:, None], n_threads=threads, out=own)
-
-    n = out[0].shape[1]
-    if n <= _PIECE or t.size > _MANY:
-        some(slice(n), threads)
-    else:  # so that the constants of bodies stay in the cache
-        pieces = [partial(some, slice(a, a + _PIECE), 1) for a in range(0, n, _PIECE)]
-        each_in_threads(pieces, threads)
+    bodies = *start, moments, np.zeros(4) if axes is None else axes, form.pull
+    state(*bodies, t[:, None], n_threads=threads, out=out)
 
 
 def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
@@ -18,10 +19,10 @@ def target(name: str, path: str | os.PathLike[str]) -> Path:
 
     Raises ``ValueError`` for a folder, ``TypeError`` for what is no path.
     """
-    found = checks.path(name, path)
-    if found.is_dir():
-        raise ValueError(f"{name}: found the directory {found}; accepted: a file")
-    return found
+    file = checks.path(name, path)
+    if file.is_dir():
+        raise ValueError(f"{name}: found the directory {file}; accepted: a file")
+    return file
 
 
 @contextmanager
@@ -30,8 +31,9 @@ def writing(
 ) -> Iterator[IO[Any]]:
     """An open file for the contents of ``path``, of bytes, or of text in an encoding.
 
-    It stands beside a regular file or a new name, and takes its place at the end, unless an error
-    is raised. A device, a pipe and the target of a symbolic link are written to themselves.
+    It is a new file in the folder of ``path``, and replaces a regular file, or takes a new name, at
+    the end, unless an error is raised. A device, a pipe and the target of a symbolic link are
+    written to themselves.
 
     Raises as :func:`target` does, and ``OSError``.
     """
@@ -42,9 +44,9 @@ def writing(
         with whole.open(f"w{letter}", **kind) as file:
             yield file
         return
-    beside = whole.with_name(f".{token_hex(8)}.part")
+    temporary = whole.with_name(f".{token_hex(8)}.part")
     try:
-        file = beside.open(f"x{letter}", **kind)
+        file = temporary.open(f"x{letter}", **kind)
     except OSError as error:  # of the folder
         raise type(error)(error.errno, error.strerror, str(whole)) from None
     try:
@@ -53,7 +55,24 @@ def writing(
             file.flush()
             os.fsync(file.fileno())
         if whole.exists():
-            shutil.copymode(whole, beside)
-        beside.replace(whole)
+            shutil.copymode(whole, temporary)
+        temporary.replace(whole)
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
+
+
+def write_csv(
+    name: str,
+    path: str | os.PathLike[str],
+    columns: Iterable[str],
+    rows: Iterable[Sequence[Any]],
+) -> None:
+    """Write rows of values as CSV after a line of names, without rounding any number.
+
+    Raises as :func:`writing` does.
+    """
+    with writing(name, path, text="utf-8") as file:
+        # the text of Python's floats is the shortest from which the same number is read
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)

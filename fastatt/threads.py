@@ -41,13 +41,8 @@ def progress_bar(
 
 @contextmanager
 def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        raise ImportError(
-            "progress: needs tqdm; install it with pip install 'fastatt[progress]'"
-        ) from None
-    with tqdm(total=total, unit=unit, unit_scale=True) as bar:
+    tqdm = checks.optional("progress", "tqdm", "fastatt[progress]")
+    with tqdm.tqdm(total=total, unit=unit, unit_scale=True) as bar:
         yield bar.update
 
 

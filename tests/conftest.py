@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import sys
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import pytest
 from hypothesis import settings
@@ -26,6 +28,19 @@ settings.load_profile("fastatt")
 gc.set_threshold(20_000)
 
 
+#: scenes that files make when they are imported, whose programs would stay with them
+_SCENES = []
+
+
+def pytest_collection_finish():
+    """Leave all that the files made out of later collections, which take as long as it is large."""
+    from fastatt import Scene
+
+    _SCENES.extend(x for x in gc.get_objects() if type(x) is Scene)
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _forget():
     """Clear the library's caches after each file, so that its programs can be collected."""
@@ -34,7 +49,12 @@ def _forget():
         if name.startswith("fastatt."):
             for value in list(vars(module).values()):
                 getattr(value, "cache_clear", int)()
+                if isinstance(value, WeakKeyDictionary):
+                    value.clear()
+    for scene in _SCENES:
+        scene.memo.clear()
     gc.collect()
+    getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
 
 
 def pytest_sessionstart():

@@ -85,11 +85,6 @@ def tensor(inertia):
     return tuple(tuple(a[..., i, j] for j in range(3)) for i in range(3))
 
 
-def exactly(rows):
-    """A matrix of floats as mpmath numbers, so that nothing is rounded to a float on the way."""
-    return tuple(tuple(mp.mpf(c) for c in row) for row in rows)
-
-
 def quickly(rows):
     """The same as gmpy2's numbers."""
     return tuple(tuple(map(to_gmpy2, row)) for row in rows)
@@ -172,12 +167,6 @@ def momentum(inertia, w):
 def kinetic_energy(inertia, w):
     """½ w·I w."""
     return dot(w, momentum(inertia, w)) / 2
-
-
-def angular_velocity(inertia, m):
-    """I⁻¹ m."""
-    rows = tensor(inertia)
-    return times(inverse(exactly(rows) if isinstance(m[1], mp.mpf) else rows), m)
 
 
 # integration to many digits
@@ -381,26 +370,12 @@ def total(*torques):
 # closed forms
 
 
-def euler_attitude(phi, theta, psi):
-    """exp(φ e3)∘exp(θ e1)∘exp(ψ e3): C = Rz(φ) Rx(θ) Rz(ψ)."""
-    turns = [oracle.quat_exp((0, 0, phi)), oracle.quat_exp((theta, 0, 0))]
-    q = oracle.quat_mul(oracle.quat_mul(*turns), oracle.quat_exp((0, 0, psi)))
-    return tuple(q)
-
-
 def euler_rate(theta, psi, phi_rate, theta_rate, psi_rate):
     """w of 3-1-3 angles and their rates."""
     s, c = mp.sin(psi), mp.cos(psi)
     across = phi_rate * mp.sin(theta)
     axial = phi_rate * mp.cos(theta) + psi_rate
     return across * s + theta_rate * c, across * c - theta_rate * s, axial
-
-
-def top_energy(i1, i3, theta, phi_rate, theta_rate, psi_rate):
-    """½ I1 (φ̇² sin²θ + θ̇²) + ½ I3 (φ̇ cos θ + ψ̇)² of a symmetric top."""
-    axial = phi_rate * mp.cos(theta) + psi_rate
-    across = (phi_rate * mp.sin(theta)) ** 2 + mp.mpf(theta_rate) ** 2
-    return (i1 * across + i3 * axial**2) / 2
 
 
 def symmetric_top(q0, w0, i1, i3, t):
@@ -426,70 +401,6 @@ def heavy_top_precession(i1, i3, theta, w3, torque):
         raise ValueError(f"no regular precession at this angle: discriminant {square}")
     root = middle + mp.sqrt(square)
     return 2 * torque / root, (root / (2 * leading) if leading else mp.inf)
-
-
-def regular_precession(theta, w3, precession, t):
-    """(q, w) of a top that precesses regularly, φ = ψ = 0 at t = 0."""
-    spin = w3 - precession * mp.cos(theta)
-    rate = euler_rate(theta, spin * t, precession, 0, spin)
-    return euler_attitude(precession * t, theta, spin * t), rate
-
-
-def pitch_frequency(inertia, mean_motion):
-    """n √(3 (Ix − Iz)/Iy): small librations in the orbit's plane, x along track, z radial."""
-    ix, iy, iz = (mp.mpf(c) for c in inertia)
-    return mean_motion * mp.sqrt(3 * (ix - iz) / iy)
-
-
-def pitch_libration(inertia, mean_motion, amplitude, t):
-    """(q, w, α) of a libration of any amplitude below π/2 in the plane of the orbit.
-
-    Iy α̈ = −3n²(Ix − Iz) sin α cos α, released at α = amplitude: sin α = k sn(K + pt | k²), where
-    k = sin(amplitude) and p is the frequency of small librations. At α = 0 the body's x axis lies
-    along the track, y along the orbit's normal (inertial e3) and z along the radius.
-    """
-    k, p = mp.sin(amplitude), pitch_frequency(inertia, mean_motion)
-    m, u = k * k, mp.ellipk(k * k) + p * t
-    alpha = mp.asin(k * mp.ellipfun("sn", u, m=m))
-    rate = k * p * mp.ellipfun("cn", u, m=m)
-    half, turned = mp.mpf(1) / 2, mp.mpf(mean_motion) * t + alpha
-    q = oracle.quat_mul((half, half, half, half), oracle.quat_exp((0, turned, 0)))
-    return tuple(q), (mp.mpf(0), mean_motion + rate, mp.mpf(0)), alpha
-
-
-def linear_spin_down(moment, c, w0, t):
-    """(w, angle turned) of I ẇ = −c w: a spherical body's each axis, or a single-axis spin."""
-    decay = mp.exp(-mp.mpf(c) * t / moment)
-    return w0 * decay, w0 * (moment * (1 - decay)) / c
-
-
-def quadratic_spin_down(moment, c, w0, t):
-    """(w, angle turned) of I ẇ = −c |w| w about one axis, w0 > 0."""
-    growth = 1 + mp.mpf(c) * w0 * t / moment
-    return w0 / growth, moment * mp.log(growth) / c
-
-
-def pd_slew_linear(moment, kp, kd, angle, t):
-    """(θ, θ̇) of I θ̈ + kd θ̇ + (kp/2) θ = 0 from rest: small slews under ``pd_control``."""
-    moment, angle, half = mp.mpf(moment), mp.mpf(angle), mp.mpf(kd) / (2 * mp.mpf(moment))
-    root = mp.sqrt(mp.mpc(half**2 - kp / (2 * moment)))
-    grow, shrink = -half + root, -half - root
-    if not root:
-        e = mp.exp(-half * t)
-        return angle * (1 + half * t) * e, -angle * half**2 * t * e
-    a, b = grow * mp.exp(shrink * t), shrink * mp.exp(grow * t)
-    theta = angle * (a - b) / (grow - shrink)
-    rate = angle * grow * shrink * (mp.exp(shrink * t) - mp.exp(grow * t)) / (grow - shrink)
-    return theta.real, rate.real
-
-
-def pd_slew(moment, kp, kd, angle, t, *, digits=30):
-    """(θ, θ̇) of I θ̈ = −kp sin(θ/2) − kd θ̇ from rest: a slew about an axis, ``pd_control``."""
-
-    def slope(_, y):
-        return y[1], -(kp * functions_of(y[0]).sin(y[0] / 2) + kd * y[1]) / moment
-
-    return solve(slope, (angle, 0), [t], digits=digits)[0]
 
 
 # known bodies

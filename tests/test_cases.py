@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-import pytest
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
-
 import cases
+import pytest
 from cases_rows import Case, at_most, page, printed
 
 import fastatt as fa

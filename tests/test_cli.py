@@ -192,7 +192,8 @@ def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, status, li
         raise error
 
     monkeypatch.setattr("fastatt.cli.modules.where", failing)
-    assert main(["cache"]) == status
+    monkeypatch.setattr("sys.argv", ["fastatt", "cache"])
+    assert start() == status
     assert capsys.readouterr().err == f"fastatt: {line}\n"
 
 

@@ -6,7 +6,10 @@ import doctest
 import enum
 import importlib
 import inspect
+import pkgutil
+import re
 import types
+from pathlib import Path
 
 import griffe
 from each import each
@@ -15,17 +18,16 @@ import fastatt as fa
 
 #: modules whose functions and classes are public, in addition to the names of ``fastatt`` itself
 MODULES = [
-    "closed_form", "dask", "estimation", "forces", "gyro_steps", "interchange", "plots", "rates",
-    "torques",
+    "closed_form", "dask", "estimation", "forces", "gyro", "gyro_steps", "interchange", "plots",
+    "rates", "torques",
 ]  # fmt: skip
-#: modules of kernels that are building blocks of the others
-BLOCKS = {"compensated", "elliptic", "moser_veselov"}
 #: methods that packages of the library call on each other's objects
 INTERNAL = {
-    "Event": {"watch"},
+    "Event": {"frozen", "watch"},
     "Plan": {"calls", "end", "equations", "is_short", "pool", "results", "started", "steps",
-             "times", "trajectory", "warn_after", "warn_of_first", "width", "about"},
+             "times", "trajectory", "warn_after", "warn_of_first", "width"},
     "Scene": {"carried", "dependence", "memo", "packed"},
+    "TimeSeries": {"numbers_at", "traced_at"},
 }  # fmt: skip
 #: examples that compile programs which no other test needs; pages show the same calls, and run them
 SLOW = {
@@ -48,11 +50,15 @@ def public_names():
     """Objects by their public names."""
     found = {name: getattr(fa, name) for name in fa.__all__}
     for name in MODULES:
-        module = importlib.import_module("fastatt.dask") if name == "dask" else getattr(fa, name)
+        module = getattr(fa, name, None) or importlib.import_module(f"fastatt.{name}")
         found |= module_names(name, module)
     found |= module_names("estimation.preintegration", fa.estimation.preintegration)
-    for name in set(fa.kernels.__all__) - BLOCKS:
+    for name in fa.kernels.__all__:
         found |= module_names(f"kernels.{name}", getattr(fa.kernels, name))
+    for page in (Path(fa.__file__).parent / "docs" / "reference").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        for name in re.findall(r"^::: fastatt\.(\S+\.[A-Z]\w+)$", text, re.MULTILINE):
+            found.setdefault(name, pkgutil.resolve_name(f"fastatt.{name}"))
     return {
         name: getattr(value, "py_func", value)
         for name, value in found.items()

@@ -41,11 +41,7 @@ PROPAGATE = [
     ({"dt": [0.1, 0.2]}, ValueError, "dt: found 2 steps; accepted: one, or 1 of the bodies"),
     ({"dt": np.array([[0.1]])}, ValueError, "dt: has shape (1, 1); accepted: a number or (N,)"),
     ({"dt": 1e308}, ValueError, "dt: 3 steps of 1e+308 s from 0.0 s overflow"),
-    (
-        {"n_steps": 2**70},
-        ValueError,
-        "n_steps: found 1180591620717411303424; accepted: a whole num",
-    ),
+    ({"n_steps": 2**70}, ValueError, "n_steps: found 1180591620717411303424; accepted: a whole nu"),
     ({"q0": np.ma.array([1.0, 0, 0, 0], mask=[0, 0, 1, 0])}, ValueError, "q0[2] is nan"),
     ({"q0": np.array([list("abcd")] * 9)}, TypeError, "q0: found array([['a', 'b', 'c', 'd'], ["),
     ({"on_save": 3, "save_every": 1}, TypeError, "on_save: found 3; accepted: a function"),
@@ -57,24 +53,12 @@ PROPAGATE = [
     ({"t0": INF}, ValueError, "t0: found inf"),
     ({"dtype": np.int32}, TypeError, "dtype: found"),
     ({"dtype": "float16"}, TypeError, "dtype: found 'float16'; accepted: float64, float32 or None"),
-    (
-        {"representation": "matrix"},
-        ValueError,
-        "representation: found 'matrix'; accepted: quat, dcm",
-    ),
+    ({"representation": "matrix"}, ValueError, "representation: found 'matrix'; accepted: quat, d"),
     ({"method": "rk5"}, ValueError, "method: found 'rk5'; accepted: " + ", ".join(RATE_METHODS)),
     ({"method": "x" * 5000}, ValueError, "method: found 'xxxx"),
-    (
-        {"method": "magnus4", "representation": "euler313"},
-        ValueError,
-        "method for representation \"euler313\": found 'magnus4'; accepted: rk4",
-    ),
+    ({"method": "magnus4", "representation": "euler313"}, ValueError, "method for representation "),
     ({"scene": fa.rates.Constant([0, 0, 1])}, TypeError, "scene: found Constant("),
-    (
-        {"scene": generic(3).scene, "q0": [Q, Q]},
-        ValueError,
-        "found parameters for 3 bodies; accepted: 2 bodies",
-    ),
+    ({"scene": generic(3).scene, "q0": [Q, Q]}, ValueError, "found parameters for 3 bodies; accep"),
 ]
 
 
@@ -91,11 +75,7 @@ DIRECTIONS = [
     ({"v0": [1.0, 2.0]}, ValueError, "v0: has shape (2,); accepted: (3,), (M, 3) or (N, M, 3)"),
     ({"v0": [0.0, NAN, 1.0]}, ValueError, "v0[1] is nan"),
     ({"scene": generic(3).scene}, ValueError, "parameters for 3 bodies"),
-    (
-        {"scene": generic(3).scene, "v0": np.ones((2, 5, 3))},
-        ValueError,
-        "parameters for 3 bodies",
-    ),
+    ({"scene": generic(3).scene, "v0": np.ones((2, 5, 3))}, ValueError, "parameters for 3 bodies"),
 ]
 
 
@@ -108,17 +88,9 @@ def test_propagate_directions(arguments, error, message):
 
 R = fa.rates
 SCENES = [
-    (
-        {"rate": 3.0},
-        TypeError,
-        "rate: found float; accepted is a model of fastatt.rates (Coning",
-    ),
+    ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
     ({"rate": None}, ValueError, "rate, inertia: found neither; accepted: one of them"),
-    (
-        {"rate": R.Constant([1, 2])},
-        ValueError,
-        "rate: Constant.w has shape (2,); accepted are (3,)",
-    ),
+    ({"rate": R.Constant([1, 2])}, ValueError, "rate: Constant.w has shape (2,); accepted are (3,"),
     ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
     ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
     ({"rate": R.Polynomial(np.zeros((0, 3)))}, ValueError, "Polynomial.coefficients has shape (0"),
@@ -131,24 +103,12 @@ SCENES = [
     ),
     ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
     ({"rate": R.Coning([1, INF], 1)}, ValueError, "rate: Coning.angle[1] is inf"),
-    (
-        {"rate": R.Coning([1, 2], [1, 2, 3])},
-        ValueError,
-        "rate: Coning: found parameters for 2 and 3",
-    ),
+    ({"rate": R.Coning([1, 2], [1, 2, 3])}, ValueError, "rate: Coning: found parameters for 2 and"),
     ({"rate": R.Slew([1, 2, 3], [1.0, -2.0])}, ValueError, "rate: Slew.duration[1] is -2.0"),
     ({"rate": R.Sum(())}, ValueError, "rate: Sum.terms is empty"),
     ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w has shape (2,)"),
-    (
-        {"rate": R.Constant([0, 0, 1]), "frame": "space"},
-        ValueError,
-        "frame: found 'space'; accepted",
-    ),
-    (
-        {"rate": R.Constant([0, 0, 1]), "params": [1]},
-        ValueError,
-        "params: found [1] with the model",
-    ),
+    ({"rate": R.Constant([0, 0, 1]), "frame": "space"}, ValueError, "frame: found 'space'; accept"),
+    ({"rate": R.Constant([0, 0, 1]), "params": [1]}, ValueError, "params: found [1] with the mode"),
 ]
 
 
@@ -186,16 +146,14 @@ def needs_three(t, p):
 @each(
     ("function", "message"),
     [
-        (two_numbers, "returns UniTuple(float64 x 2); accepted is a tuple of three floats"),
-        (an_array, "returns array(float64, 1d, C); accepted is a tuple of three"),
-        (no_such_name, "does not compile for floats, with p a tuple of 2 floats"),
-        (needs_three, "does not compile for floats, with p a tuple of 2 floats"),
+        (two_numbers, "found two_numbers(t, p) with a result that is tuple of 2; accepted: 3 num"),
+        (an_array, "found an_array(t, p) with a result that is ndarray of 2; accepted: 3 numbers"),
+        (no_such_name, "no_such_name(t, p), p of 2 numbers, is not followed: an error on every"),
+        (needs_three, "needs_three(t, p), p of 2 numbers, is not followed: an error on every path"),
     ],
 )
 def test_users_rate_function(function, message):
-    with pytest.raises(
-        TypeError, match="^rate: " + re.escape(f"{function.__name__}(t, p) {message}")
-    ):
+    with pytest.raises(TypeError, match="^rate: " + re.escape(message)):
         fa.Scene(rate=function, params=[1.0, 2.0])
 
 
@@ -220,11 +178,7 @@ def test_another_number_of_arguments_is_said_to_be_so():
 @each(
     ("params", "error", "message"),
     [
-        (
-            np.ones((2, 2, 3)),
-            ValueError,
-            "params: has shape (2, 2, 3); accepted are (P,) and (N, P)",
-        ),
+        (np.ones((2, 2, 3)), ValueError, "params: has shape (2, 2, 3); accepted are (P,) and (N, "),
         ("ab", TypeError, "params: found 'ab'"),
         (np.ones((0, 3)), ValueError, "params: has shape (0, 3)"),
     ],
@@ -257,28 +211,16 @@ INTEGRATE = [
     ({"rates": [["a", "b", "c"]]}, TypeError, "rates: found"),
     ({"rates": changed(7, NAN)}, ValueError, "rates[7, 0] is nan; accepted: finite numbers"),
     ({"rates": changed((1, 5, 2), NAN, (2, 20, 3))}, ValueError, "rates[1, 5, 2] is nan"),
-    (
-        {"rates": changed((3, 1), NAN), "increments": True},
-        ValueError,
-        "rates (increments)[3, 1] is nan",
-    ),
+    ({"rates": changed((3, 1), NAN), "increments": True}, ValueError, "rates (increments)[3, 1] i"),
     ({"dt": 0.0}, ValueError, "dt: found 0.0"),
     ({"dt": -0.1}, ValueError, "dt: found -0.1"),
     ({"dt": SPANS[:-1]}, ValueError, "dt: has shape (18,); accepted: a number or (19,)"),
-    (
-        {"dt": SPANS, "increments": True},
-        ValueError,
-        "dt: has shape (19,); accepted: a number or (20,)",
-    ),
+    ({"dt": SPANS, "increments": True}, ValueError, "dt: has shape (19,); accepted: a number or ("),
     ({"dt": spans(4, NAN)}, ValueError, "dt[4] is nan"),
     ({"dt": spans(4, 0.0)}, ValueError, "dt[4] is 0.0: a repeated time stamp"),
     ({"dt": spans(18, -0.1)}, ValueError, "dt[18] is -0.1: a decreasing time stamp"),
     ({"dt": spans(9, 1.5)}, ValueError, "dt[9] is 1.5: a gap; accepted: at most 1 s"),
-    (
-        {"dt": spans(9, 0.3), "max_gap": 0.2},
-        ValueError,
-        "dt[9] is 0.3: a gap; accepted: at most 0.2",
-    ),
+    ({"dt": spans(9, 0.3), "max_gap": 0.2}, ValueError, "dt[9] is 0.3: a gap; accepted: at most 0"),
     ({"dt": SPANS, "max_gap": "no"}, TypeError, "max_gap: found 'no'"),
     ({"dt": SPANS, "max_gap": -1}, ValueError, "max_gap: found -1.0"),
     ({"dt": 0.3, "max_gap": 0.2}, ValueError, "dt: found 0.3; accepted: at most 0.2 s, max_gap"),
@@ -309,61 +251,11 @@ def test_progress_needs_its_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "tqdm", None)
     with pytest.raises(ImportError, match="progress: needs tqdm"):
         propagate(progress=True)
-    with pytest.raises(ImportError, match="progress: needs tqdm"):
-        fa.integrate_rates(LOG, 0.1, method="hold", progress=True)
-
-
-@each(
-    ("q", "dt", "options", "message"),
-    [
-        (np.ones((3, 4)), 0.1, {}, "q: has 3 attitudes; accepted with order 4: at least 5"),
-        (np.ones((9, 4)), np.full(9, 0.1), {}, "dt: has shape (9,)"),
-        (np.eye(4)[[0, 1, 2, 3, 0]], 1e-310, {}, "dt: rates over 1e-310 s overflow"),
-        (np.ones((9, 4)), np.r_[np.full(7, 0.1), -0.1], {}, "dt[7] is -0.1"),
-        (changed((4, 2), NAN, (9, 4)), 0.1, {}, "q[4, 2] is nan"),
-        (changed(4, 0.0, (9, 4)), 0.1, {}, "q[4] is the zero quaternion"),
-    ],
-)
-def test_angular_velocity(q, dt, options, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        fa.angular_velocity(q, dt, **options)
-
-
-def test_attitudes_of_any_length_and_interval_have_a_rate():
-    q = generic(2).attitude(0.0, 1.0)[None] * np.ones((9, 1, 1))
-    q[1:] = [generic(2).attitude(0.0, 0.1 * k) for k in range(1, 9)]
-    w = fa.angular_velocity(q, 0.1)
-    for length in (1e-310, 1e300):
-        assert fa.angular_velocity(q * length, 0.1) == pytest.approx(w, rel=1e-9)
-    assert fa.angular_velocity(q, 1e-200) == pytest.approx(w * 1e199, rel=1e-12)
 
 
 def test_a_log_of_one_sample_has_no_intervals():
     q = fa.integrate_rates(LOG[:1], [], START, method="hold")
     assert q == pytest.approx(START[None], abs=1e-15)
-
-
-TOP = fa.Scene(inertia=(1.0, 1.0, 0.6))
-
-
-@each(
-    ("call", "error", "message"),
-    [
-        (lambda: fa.methods_for(None), TypeError, "scene: found None"),
-        (lambda: fa.potential_energy(None, Q), TypeError, "scene: found None"),
-        (lambda: fa.potential_energy(TOP, Q, "now"), TypeError, "t: found 'now'"),
-        (lambda: fa.potential_energy(TOP, Q, [1, 2]), ValueError, "t: has shape (2,)"),
-        (lambda: fa.kinetic_energy([1, 2, 3], [1, NAN, 1]), ValueError, "inertia[1] is nan"),
-        (lambda: fa.kinetic_energy([1, 2, 3], "x"), TypeError, "inertia: found 'x'"),
-        (lambda: fa.kinetic_energy([1, 2, 3], np.ones((2, 2, 3))), ValueError, "inertia: has sh"),
-        (lambda: fa.angle_between(np.ones((3, 3), dtype=bool), Q), TypeError, "a: found array("),
-        (lambda: fa.angle_between(Q, np), TypeError, "b: found <module"),
-    ],
-)
-def test_other_functions(call, error, message):
-    with pytest.raises(error, match="^" + re.escape(message)) as caught:
-        call()
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_read_only_and_broadcast_arrays_are_taken():

@@ -152,7 +152,7 @@ def test_a_splitting_warns_of_large_steps_under_a_torque(method):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             run = fa.propagate(scene, START, (0.0, 0.0, size), dt=1.0, n_steps=4, method=method)
-        assert run.has_flags == flagged
+        assert run.status.any() == flagged
         assert [w.category for w in said] == [fa.StepWarning] * flagged
         if flagged:
             assert f"{method}'s limit is {limit:.3g}" in str(said[0].message)
@@ -187,12 +187,6 @@ def test_what_is_allowed_is_small_where_a_method_is_good():
 # bodies in other units, backwards, and for long
 
 
-@each("method", of("free"))
-def test_inertia_by_a_power_of_two_changes_no_bit(method):
-    for column in (bodies.scaled("", 2.0**-40), bodies.scaled("", 2.0**40)):
-        assert column.run(Case(method)).error.max() == 0.0
-
-
 @each("method", ["rk4", *[m.name for m in fa.METHODS.values() if energy.keeps_energy(m)]])
 def test_energy_has_no_secular_drift(method):
     """Mean slope over 64 bodies within its uncertainty, of RK4 far from it."""
@@ -205,15 +199,6 @@ def test_energy_has_no_secular_drift(method):
     else:
         # rounding of the moments' powers has a sign: 1 ulp in 100 steps at most
         assert lost < 4.0 * drift.uncertainty + 0.01 * Case(method).eps
-
-
-def test_cells_say_what_happened():
-    fine, far = np.uint8(0), np.uint8(fa.Status.STEP_TOO_LARGE)
-    one = np.ones(2)
-    assert Outcome(one * 1e-3, one, np.array([fine, fine])).text == "1e-03"
-    assert Outcome(one * [1e-3, 9.0], one, np.array([fine, far])).text == "1e-03 STEP_TOO_LARGE"
-    assert Outcome(one * np.nan, one, np.array([fine, far])).text == "nan STEP_TOO_LARGE **wrong**"
-    assert Outcome(one * 0.0, one, np.array([fine, fine])).text == "0"
 
 
 def test_the_page_is_of_all_methods_and_nothing_in_it_is_wrong():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt.logs.attitudes import write_attitudes
+from fastatt.gyro.attitudes import write_attitudes
 
 BODY = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
 START = {"q0": [1.0, 0.0, 0.0, 0.0], "w0": [0.1, 0.2, 0.3], "dt": 0.1, "method": "rk4"}
@@ -131,9 +131,3 @@ def test_a_checkpoint_into_a_folder_is_refused_before_the_run(tmp_path, monkeypa
     monkeypatch.setattr("fastatt.propagation.propagate.execute", lambda *_: pytest.fail("begun"))
     with pytest.raises(ValueError, match="checkpoint: found the directory"):
         fa.propagate(BODY, **START, n_steps=20, checkpoint=tmp_path)
-
-
-@pytest.mark.parametrize("name", ["csv", "end", "picture", "study.csv"])
-def test_what_is_no_path_is_refused(name):
-    with pytest.raises(TypeError, match=r"path: found \[1, 2\]; accepted: a path"):
-        WRITERS[name]([1, 2])

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from each import each
 from exact import Motion
-from fuzz import judge, logs, runs, trying
-
-import fastatt as fa
+from fuzz import judge, runs, trying
 
 
 def rates(d):
@@ -54,14 +52,3 @@ def warned(q):
 def test_what_the_fuzz_is_after_is_found(function):
     call = judge.Call(function, (np.array([1.0, 0.0, 0.0, 0.0]),), {}, judge.unit, ("q",))
     assert trying.tried(call)[1] is not None
-
-
-def test_a_log_that_is_read_otherwise_than_written_is_found(tmp_path):
-    path = logs.written(tmp_path, b"wx,wy,wz\n1,2,3\n4,5,6\n")
-    log = fa.read_gyro_log(path, rate=10.0, unit="rad/s")
-    meant = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    t = np.array([0.0, 0.1])
-    assert logs.read_wrong(log, logs.Log(b"", {}, meant, t)) is None
-    assert "other rates" in logs.read_wrong(log, logs.Log(b"", {}, 2.0 * meant, t))
-    assert "other times" in logs.read_wrong(log, logs.Log(b"", {}, meant, 2.0 * t))
-    assert "rows" in logs.read_wrong(log, logs.Log(b"", {}, meant[:1], t[:1]))

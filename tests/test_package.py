@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import compileall
 import email
+import importlib
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -13,6 +17,7 @@ from pathlib import Path
 import pytest
 
 import fastatt
+from fastatt import methods
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -56,7 +61,8 @@ def test_runtime_needs_numba_and_numpy_only(metadata):
 def test_wheel_holds_every_module_and_the_type_marker_and_nothing_else(wheel):
     shipped = {n for n in wheel.namelist() if ".dist-info/" not in n}
     files = (ROOT / "fastatt").rglob("*.py")
-    assert shipped == {p.relative_to(ROOT).as_posix() for p in files} | {"fastatt/py.typed"}
+    typed = {"fastatt/py.typed", "fastatt/__init__.pyi"}
+    assert shipped == {p.relative_to(ROOT).as_posix() for p in files} | typed
 
 
 def test_readme_is_shipped(metadata):
@@ -72,30 +78,55 @@ def test_command_is_declared(wheel):
     assert "fastatt = fastatt.__main__:main" in wheel.read(name).decode()
 
 
+def test_public_names_are_those_that_type_checkers_know():
+    """The table of names and the stub agree, and each name is what the stub says it is."""
+    stub = ast.parse(Path(fastatt.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    modules = {name.name: node.module for node in imports for name in node.names}
+    (listed,) = (ast.literal_eval(n.value) for n in stub.body if isinstance(n, ast.Assign))
+    assert len(listed) == 50
+    assert sorted(listed) == sorted(fastatt.__all__) == sorted(set(modules) - {"Final"})
+    for name in listed:
+        module = importlib.import_module(modules[name])
+        found = getattr(fastatt, name)
+        assert (
+            found is getattr(module, name, None) or found is sys.modules[f"{modules[name]}.{name}"]
+        )
+
+
 @pytest.mark.parametrize(
-    "convention",
+    ("name", "place"),
     [
-        "scalar first",
-        "Hamilton",
-        "v_i = q∘v_b∘q*",
-        "v_i = C v_b",
-        "q̇ = ½ q∘w",
-        "Ċ = C [w×]",
-        'frame="inertial"',
-        "q̇ = ½ w∘q",
-        "Ċ = [w×] C",
-        "SI",
-        "(S, N, 4)",
-        "φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇",
+        ("propogate", "(nearest: propagate)"),
+        ("plots", "(a module: import fastatt.plots)"),
+        ("mean_attitude", "(in fastatt.estimation: mean_attitude)"),
+        ("to_scipy", "(in fastatt.interchange: to_scipy)"),
+        ("quat", "(in fastatt.kernels: quat)"),
     ],
 )
-def test_docstring_states_the_conventions(convention):
-    assert convention in " ".join(fastatt.__doc__.split())
+def test_an_unknown_name_is_told_its_place(name, place):
+    with pytest.raises(AttributeError, match=re.escape(place)):
+        fastatt.__getattr__(name)
 
 
-def test_public_names_exist():
-    assert sorted(set(fastatt.__all__)) == sorted(fastatt.__all__)
-    assert [n for n in fastatt.__all__ if not hasattr(fastatt, n)] == []
+def test_methods_of_all_files_are_listed():
+    """Each by its name, in the file that the table says, and no other."""
+    files = methods._FILES
+    defined = {(name, file) for file in files.values() for name in methods._defined_in(file)}
+    assert defined == set(files.items())
+
+
+def test_a_first_run_imports_what_it_needs():
+    """No method but its own, no model of torques, no closed form."""
+    loaded = fresh_python(
+        "import sys, fastatt as fa; fa.propagate(fa.Scene(inertia=(1.0, 2.0, 2.5)), [1, 0, 0, 0], "
+        "[0.1, 0.2, 0.3], dt=0.01, n_steps=1, method='rk4'); "
+        "print(*(m for m in sys.modules if m.startswith('fastatt')))"
+    )
+    assert len(loaded) <= 85
+    assert not {"fastatt.methods.magnus", "fastatt.scene.torques", "fastatt.closed_form"} & {
+        *loaded
+    }
 
 
 def fresh_python(code):
@@ -104,6 +135,25 @@ def fresh_python(code):
     )
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.split()
+
+
+@pytest.mark.parametrize("kind", ["zip", "pyc"])
+def test_an_installation_without_sources_says_so(tmp_path, kind):
+    shutil.copytree(ROOT / "fastatt" / "kernels", tmp_path / "fastatt" / "kernels")
+    for name in ("__init__.py", "_jit.py", "_numba.py", "checks.py"):
+        shutil.copy(ROOT / "fastatt" / name, tmp_path / "fastatt")
+    place = tmp_path
+    if kind == "zip":
+        place = Path(shutil.make_archive(str(tmp_path / "library"), "zip", tmp_path, "fastatt"))
+    else:
+        assert compileall.compile_dir(tmp_path, quiet=1, legacy=True)
+        for source in tmp_path.rglob("*.py"):
+            source.unlink()
+    code = f"import sys; sys.path.insert(0, {str(place)!r}); import fastatt; fastatt.kernels.quat"
+    command = [sys.executable, "-P", "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    last = done.stderr.splitlines()[-1]
+    assert re.match(r"ImportError: fastatt: found .* without its source; accepted: ", last)
 
 
 def test_import_works_without_optional_packages():

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from exact import EPS, generic
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -132,9 +132,6 @@ STEPS, H = 24, 0.05
 RATE = "magnus4"
 # two explicit methods of other kinds, in body axes and by turns about principal ones
 BODY = ("rk4", "strang2")
-# of |w| ≤ 2 rad/s for 1.2 s a difference grows at most e^2.4 times; a step rounds q by two products
-# and m by some 16 operations
-ROUND_OFF = 2.0 * STEPS * 16.0 * EPS * math.exp(2.4)
 
 
 class Bodies(NamedTuple):
@@ -168,17 +165,6 @@ def bodies(seed, n=64, kind="any"):
 
 
 KINDS = st.sampled_from(["any", "rods", "discs", "tops", "balls"])
-ORIENTED = [  # signed permutations of axes, det = 1, and whose inertia they permute
-    np.eye(3)[list(p)] * np.array(s)[:, None]
-    for p, s in (
-        ((0, 1, 2), (1, 1, 1)),
-        ((1, 2, 0), (1, 1, 1)),
-        ((2, 0, 1), (1, 1, 1)),
-        ((1, 0, 2), (1, 1, -1)),
-        ((0, 2, 1), (-1, 1, 1)),
-        ((2, 1, 0), (1, -1, 1)),
-    )
-]
 
 
 def run(seed, method, q0=None, w0=None, **options):
@@ -201,21 +187,6 @@ def test_runs_do_not_know_the_inertial_axes(seed, method):
 
 
 @few
-@given(seeds, st.sampled_from((*BODY, "exact")), st.integers(0, 5))
-def test_order_of_the_axes_does_not_matter(seed, method, k):
-    """Principal axes and moments permuted, the motion is the same, seen along the new axes."""
-    a, M = bodies(seed), ORIENTED[k]
-    # strang2 turns about the axes in their cyclic order
-    assume(method != "strang2" or np.linalg.det(np.abs(M)) > 0.0)
-    turn = fa.dcm_to_quat(M.T)  # new body axes to old ones
-    b = Bodies(fa.quat_multiply(a.q, turn), a.w @ M.T, a.inertia @ np.abs(M).T)
-    first, second = a.run(method), b.run(method)
-    assert fa.angle_between(fa.quat_multiply(first.q, turn), second.q).max() <= ROUND_OFF
-    assert np.abs(first.w @ M.T - second.w).max() <= ROUND_OFF
-    assert not first.status.any()
-
-
-@few
 @given(seeds, KINDS, st.sampled_from((*BODY, "exact")), st.integers(-40, 40), st.integers(-60, 60))
 def test_units_change_no_bit(seed, kind, method, time, mass):
     """Powers of 2 as units of time and of mass: numbers scale and round as before."""
@@ -225,16 +196,6 @@ def test_units_change_no_bit(seed, kind, method, time, mass):
     assert exactly(first.q, second.q)
     assert exactly(np.ldexp(first.w, time), second.w)
     assert exactly(first.status, second.status)
-
-
-@few
-@given(seeds, st.integers(0, STEPS), st.sampled_from((RATE, *BODY, "exact")))
-def test_a_run_in_two_parts(seed, first, method):
-    whole, part = run(seed, method), run(seed, method, n_steps=first)
-    t0 = {"t0": first * H} if method == RATE else {}
-    rest = run(seed, method, part.q[-1], part.w[-1], n_steps=STEPS - first, **t0)
-    assert fa.angle_between(whole.q, rest.q).max() <= ROUND_OFF
-    assert np.abs(whole.w - rest.w).max() <= ROUND_OFF
 
 
 @few

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fastatt._cached import cached_property
@@ -106,7 +106,6 @@ class Attitude:
     to_dcm_array: Formula = None
     to_quat_array: Formula = None
     to_euler313_array: Formula = None
-    summary: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         """Set the formulas that follow from others."""

@@ -6,8 +6,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
+
+from fastatt._numba import array_of, numbers_of
 
 #: Numba's types by the names of precisions
 TYPES = {"double": types.float64, "single": types.float32}
@@ -24,12 +25,12 @@ def call(typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any) 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address, number, arrays, integers = args
         given = [number]
-        for kind, value in zip(memory.types, cgutils.unpack_tuple(builder, arrays), strict=True):
+        for kind, value in zip(memory.types, numbers_of(builder, arrays), strict=True):
             if isinstance(kind, types.Array):
-                given.append(context.make_array(kind)(context, builder, value).data)
+                given.append(array_of(context, builder, kind, value)[0])
             else:
                 given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
-        given += cgutils.unpack_tuple(builder, integers)
+        given += numbers_of(builder, integers)
         of = ir.FunctionType(ir.VoidType(), [x.type for x in given]).as_pointer()
         builder.call(builder.inttoptr(address, of), given)
         return context.get_dummy_value()

@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from llvmlite import ir
-from numba.core import cgutils
 
 from fastatt.codegen.instructions import BIT, I32, I64, REALS, Code
 from fastatt.codegen.processor import processor
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.nodes import COMPARISONS, LIBRARY, Node, operands
-from fastatt.tracing.traced import Loop, Traced
+from fastatt.tracing.traced import Traced
 
 _INSTRUCTIONS = {
     "abs": "llvm.fabs",
@@ -245,64 +244,21 @@ POINTERS = {
 def write(code: Code, traced: Traced, given: Any, resources: Mapping[Any, Any]) -> list[Any]:
     """The results, each with its kind, from given values.
 
-    The graphs of a formula follow each other, with lanes for the directions of dual numbers.
+    Directions of dual numbers have lanes.
     """
     lanes = traced.lanes
     emit = Emitter(code, lanes, resources)
-    # the inputs, and those of a loop's step: pairs of the state and whether it has lanes
-    found: dict[str, Any] = {"x": given}
 
     def find(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
         group, k = name
-        if group == "s":
-            return found["s"][k]  # type: ignore[no-any-return]
         if group != "direction":
-            return code.cast(kind, found[group][k]), False
+            return code.cast(kind, given[k]), False
         if lanes == 1:
             return ir.Constant(REALS[kind], 1.0), False
         units = [float(i == k) for i in range(lanes)]
         return ir.Constant(ir.VectorType(REALS[kind], lanes), units), True
 
-    loop = traced.loop
-    if loop is not None:
-        state = emit(loop.begin, find)
-        n, size = len(loop.step.results), len(loop.table[0])
-        wide = [k in loop.wide for k in range(n)]
-        places: list[Any] = []
-
-        def keep(values: Sequence[tuple[Any, bool]]) -> None:
-            """Store values that change, with lanes if they have any."""
-            for k, (value, has_lanes) in enumerate(values):
-                whole = emit.spread(value, has_lanes) if wide[k] else value
-                if k == len(places):
-                    places.append(code.room(whole.type))
-                # a vector of many directions is wider than the alignment of the stack
-                code.b.store(whole, places[k], align=8)
-
-        def kept() -> list[tuple[Any, bool]]:
-            now = [code.b.load(place, align=8) for place in places]
-            return [*zip(now, wide, strict=True), *state[n:]]
-
-        keep(state[:n])
-        table = _table(code, loop)
-        with cgutils.for_range(code.b, ir.Constant(I64, len(loop.table))) as step:
-            found["s"] = kept()
-            row = code.b.mul(step.index, ir.Constant(I64, size))
-            numbers = [code.b.add(row, ir.Constant(I64, k)) for k in range(size)]
-            found["row"] = [code.load(table, k) for k in numbers]
-            keep(emit(loop.step, find))
-        found["s"] = kept()
     return [value for value, _ in emit(traced.flat, find)]
-
-
-def _table(code: Code, loop: Loop) -> Any:
-    """Pointer to the constants of a loop, which are part of the module."""
-    kinds = (node.kind for node in loop.step.nodes if node.args[:1] == ("row",))
-    kind = REALS[next(kinds, "double")]
-    numbers = [x for row in loop.table for x in row]
-    values = ir.Constant(ir.ArrayType(kind, len(numbers)), numbers)
-    table = cgutils.global_constant(code.b, "table", values)
-    return code.b.bitcast(table, kind.as_pointer())
 
 
 def pointers_of(code: Code, whole: Any, resources: Sequence[tuple[str, Any]]) -> dict[Any, Any]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
+
+from fastatt._numba import Line, prefer_wide_vectors
 
 I64 = ir.IntType(64)
 I32 = ir.IntType(32)
@@ -14,33 +15,12 @@ BIT = ir.IntType(1)
 REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
-class Line:
-    """An operation as text, formatted once, which llvmlite accepts as an instruction."""
-
-    __slots__ = ("_name", "_text", "type")
-    opname, metadata = "", ("dbg",)
-    _numbers = itertools.count()
-
-    def __init__(self, builder: Any, kind: Any, text: str) -> None:
-        self.type, self._name = kind, f"%-{next(self._numbers)}"
-        self._text = f"{self._name} = {text}"
-        builder._insert(self)  # noqa: SLF001
-
-    def get_reference(self) -> str:
-        """Name of the result."""
-        return self._name
-
-    def __str__(self) -> str:
-        return self._text
-
-
 def prepare_for_vectors(function: Any) -> None:
     """Let a function keep whole vectors, in registers and, if there are too few, on its stack.
 
-    By default LLVM halves the vectors of Intel's processors; llvmlite's check does not know the
-    attribute. A vector on the stack takes one cache line, not parts of two.
+    A vector on the stack takes one cache line, not parts of two.
     """
-    set.add(function.attributes, '"prefer-vector-width"="512"')
+    prefer_wide_vectors(function)
     function.attributes.alignstack = 64
     # a function that it was inlined into would have another stack
     function.attributes.add("noinline")
@@ -91,8 +71,8 @@ class Code:
         return loaded
 
     def gather(self, pointer: Any, index: Any) -> Line:
-        """Elements of an array that does not change, at a vector of indices."""
-        n, kind = index.type.count, pointer.type.pointee
+        """Doubles of an array that does not change, at a vector of indices."""
+        n, kind = index.type.count, REALS["double"]
         many, bits = ir.VectorType(kind, n), ir.VectorType(BIT, n)
         # LLVM before 17 has pointers to a type, which the names of its functions hold
         is_opaque, suffix = str(pointer.type) == "ptr", _suffix(many)
@@ -108,24 +88,23 @@ class Code:
         """Change an element."""
         self.b.store(value, self.place(pointer, index))
 
-    def vector(self, pointer: Any, index: Any, n: int) -> Any:
+    def vector(self, kind: str, pointer: Any, index: Any, n: int) -> Any:
         """n successive elements, aligned to the size of the vector, or one element."""
         if n == 1:
             return self.load(pointer, index)
-        at = self._as_vector(pointer, index, n)
-        return self.b.load(at, align=_aligned(at))
+        many = ir.VectorType(REALS[kind], n)
+        return self.b.load(self._as_vector(many, pointer, index), align=_aligned(many))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change as many successive elements as the value has."""
         if not isinstance(value.type, ir.VectorType):
             self.store(pointer, index, value)
             return
-        at = self._as_vector(pointer, index, value.type.count)
-        self.b.store(value, at, align=_aligned(at))
+        at = self._as_vector(value.type, pointer, index)
+        self.b.store(value, at, align=_aligned(value.type))
 
-    def _as_vector(self, pointer: Any, index: Any, n: int) -> Any:
-        to = ir.VectorType(pointer.type.pointee, n).as_pointer()
-        return self.b.bitcast(self.place(pointer, index), to)
+    def _as_vector(self, kind: Any, pointer: Any, index: Any) -> Any:
+        return self.b.bitcast(self.place(pointer, index), kind.as_pointer())
 
     def real(self, kind: str, value: float) -> Any:
         """A constant."""
@@ -165,9 +144,8 @@ def _typed(x: Any) -> str:
     return f"{x.type} {x.get_reference()}"
 
 
-def _aligned(pointer: Any) -> int:
+def _aligned(kind: Any) -> int:
     """Alignment of a vector: its size, and at most a cache line."""
-    kind = pointer.type.pointee
     size: int = kind.count * (8 if kind.element == REALS["double"] else 4)
     return min(64, size)
 

@@ -9,6 +9,7 @@ others, as vector instructions.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -28,14 +29,14 @@ Resources = Sequence[tuple[str, Any]]
 
 
 class Place(NamedTuple):
-    """The place of a number: ``row`` of an array, or an index for a number that all lanes share.
+    """The place of a number: ``row`` of an array, or its index in one that all lanes share.
 
     ``shared`` numbers do not change during a call of the function, ``computed`` ones do; the
     array's offset is added to the index of ``indexed`` ones.
     """
 
     row: int
-    array: int = 0
+    array: str = "rows"
     of: Literal["lanes", "shared", "indexed", "computed"] = "lanes"
 
 
@@ -75,27 +76,27 @@ class Shape(NamedTuple):
 class LaneProgram(NamedTuple):
     """The function ``run(part, *arrays, whole, *numbers)`` of a text around calls of formulas.
 
-    ``arrays`` are the precisions of the arrays, and ``numbers`` is the number of integers that come
-    last. ``whole`` begins with the addresses of ``resources``; it is absent if these are None.
-    Formulas are called as ``name(*arrays, whole, *offsets)``.
+    ``arrays`` are the precisions of the arrays by name, and ``numbers`` is the number of integers
+    that come last. ``whole`` begins with the addresses of ``resources``; it is absent if these are
+    None. Formulas are called as ``name(*arrays, whole, *offsets)``.
     """
 
     text: str
     formulas: Mapping[str, LaneFormula]
     shape: Shape
-    arrays: Sequence[str]
+    arrays: Mapping[str, str]
     resources: Resources | None = None
     numbers: int = 2
 
     def compiled(self) -> Any:
         """Numba's ``CFunc``, compiled or loaded from disk."""
-        arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays]
+        arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays.values()]
         memory = arrays if self.resources is None else [*arrays, _WHOLE]
         keys = self.resources or ()
-        key = [repr((tuple(self.shape), self.arrays, [key[0] for key in keys]))]
+        key = [repr((tuple(self.shape), dict(self.arrays), [key[0] for key in keys]))]
         emissions: dict[str, Emission] = {}
         for name, x in self.formulas.items():
-            places = sorted(x.inputs.items()), *x[2:5]
+            places = sorted(x.inputs.items()), x.results, x.largest, x.lanes
             clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
             key += [x.graph.spelled(keys), repr((places, clock))]
             whole = [types.int64] * (len(arrays) + (x.clock is not None))
@@ -110,7 +111,8 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
     lanes = formula.lanes or lanes
     n = len(program.arrays)
     begin = n + (program.resources is not None)
-    arrays, offsets = args[:n], args[begin : begin + n]
+    arrays = dict(zip(program.arrays, args, strict=False))
+    offsets = dict(zip(program.arrays, args[begin:], strict=False))
     whole = args[n] if begin > n else None
     pointers = pointers_of(code, whole, program.resources or ())
     times: dict[Name, tuple[Any, bool]] = {}
@@ -125,7 +127,7 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
             return times[name]
         x = formula.inputs[name]
         if x.of == "lanes":
-            return code.vector(*place(x), lanes), True
+            return code.vector(program.arrays[x.array], *place(x), lanes), True
         if x.of == "computed":
             return code.load(arrays[x.array], x.row), False
         at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
@@ -145,18 +147,32 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
     for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
         kept = value
         if i == formula.largest:
-            kept = raised(code, code.vector(*place(x), lanes), value)
+            before = code.vector(program.arrays[x.array], *place(x), lanes)
+            kept = raised(code, before, value)
         code.store_vector(*place(x), kept)
 
 
-_LOOP = "for j in range(0, count, {lanes}): formula(rows, whole, j)"
-# without a loop, constants are not loaded in advance into more registers than there are
-_ONCE = "formula(rows, whole, 0)"
+class Part(IntEnum):
+    """What a function of rows computes."""
+
+    EACH = 0  #: its results
+    CONSTANTS = 1  #: the numbers that they have in common
 
 
-def lane_function(shape: Shape, formula: LaneFormula, resources: Resources = ()) -> Any:
-    """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula in so many lanes."""
-    loop = _LOOP.format(lanes=shape.lanes) if shape.block > shape.lanes else _ONCE
-    text = f"def run(part, rows, whole, count):\n    {loop}\n"
-    formulas = {"formula": formula}
-    return LaneProgram(text, formulas, shape, (shape.kind,), resources, numbers=1).compiled()
+def lane_function(
+    shape: Shape, formula: LaneFormula, resources: Resources = (),
+    constants: LaneFormula | None = None,
+) -> Any:  # fmt: skip
+    """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula in so many lanes.
+
+    ``constants`` are numbers that it reads, computed by another one.
+    """
+    # without a loop, constants are not loaded in advance into more registers than there are
+    loop = f"for j in range(0, count, {shape.lanes}): " if shape.block > shape.lanes else "j = 0; "
+    lines, formulas = ["def run(part, rows, whole, count):"], {"formula": formula}
+    if constants is not None:
+        formulas["constants"] = constants
+        lines += [f"    if part == {Part.CONSTANTS}:"]
+        lines += [f"        {loop}constants(rows, whole, j)", "        return"]
+    text = "\n".join([*lines, f"    {loop}formula(rows, whole, j)", ""])
+    return LaneProgram(text, formulas, shape, {"rows": shape.kind}, resources, numbers=1).compiled()

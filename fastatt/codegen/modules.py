@@ -31,12 +31,10 @@ from typing import Any
 
 import llvmlite
 import numba
-from numba import cfunc
-from numba.core.caching import FunctionCache
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.types import void
+from numba import cfunc, types
 from numba.extending import intrinsic
 
+from fastatt._numba import check, compiler_lock, files_of
 from fastatt.codegen.instructions import Code, prepare_for_vectors
 from fastatt.codegen.processor import processor
 
@@ -44,7 +42,8 @@ from fastatt.codegen.processor import processor
 LIMIT = 256 << 20
 _ABANDONED = 3600.0  # s
 _PREFIX, _MARK, _INSIDE = "fastatt_", ".ok", "__pycache__"
-_OPERATIONS = "tracing/nodes.py"
+# other sources that emit it
+_OTHERS = ("_numba.py", "tracing/nodes.py")
 
 #: how many functions were loaded from disk, and how many compiled, since the process started
 hits = made = 0
@@ -65,7 +64,7 @@ def generated(
     digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
     names = {name: _emitting(*emission) for name, emission in emissions.items()}
     found = None
-    with global_compiler_lock:  # one thread at a time
+    with compiler_lock:  # one thread at a time
         _check_numbas()
         path = folder()
         if path is not None:
@@ -87,9 +86,10 @@ def _count(found: Any) -> None:
 
 def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], None]) -> Any:
     """An intrinsic without a result, whose arguments have the given types."""
-    signature = void(*arguments)
+    signature = types.void(*arguments)
 
     def lower(context: Any, builder: Any, _: Any, args: Any) -> Any:
+        check()
         prepare_for_vectors(builder.function)
         emit(Code(builder), args)
         return context.get_dummy_value()
@@ -103,7 +103,7 @@ def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], No
 def _in_memory(text: str, arguments: Sequence[Any], names: Mapping[str, Any]) -> Any:
     scope = dict(names)
     exec(compile(text, "<fastatt>", "exec"), scope)
-    return cfunc(void(*arguments))(scope["run"])
+    return cfunc(types.void(*arguments))(scope["run"])
 
 
 def _kept(
@@ -149,22 +149,16 @@ def _imported(
     sys.modules[name] = module
     try:
         exec(compile(text, str(source), "exec"), module.__dict__)
-        return cfunc(void(*arguments), cache=True)(module.__dict__["run"])
+        return cfunc(types.void(*arguments), cache=True)(module.__dict__["run"])
     finally:
         del sys.modules[name]
 
 
 def _numba_files(source: Path) -> tuple[Path, Path, Path]:
-    """The folder in which Numba keeps the machine code of a module, its index and its code there.
-
-    The names are computed, since a search of a full folder takes longer than loading the files.
-    """
+    """The folder in which Numba keeps a module's machine code, its index and its code there."""
     scope: dict[str, Any] = {}
     exec(compile("def run(): pass", str(source), "exec"), scope)
-    cache = FunctionCache(scope["run"])
-    folder = Path(cache.cache_path)
-    name = cache._impl.filename_base  # noqa: SLF001
-    return folder, folder / f"{name}.nbi", folder / f"{name}.1.nbc"
+    return files_of(scope["run"])
 
 
 def _mark(file: Path) -> Path:
@@ -241,7 +235,8 @@ def _trim(path: Path) -> None:
 def surroundings() -> str:
     """What all machine code depends on: processor, versions, the emitter's sources."""
     folder = Path(__file__).parent
-    files = (*sorted(folder.glob("*.py")), folder.parent / _OPERATIONS)
+    others = (folder.parent / name for name in _OTHERS)
+    files = (*sorted(folder.glob("*.py")), *others)
     sources = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
     versions = (llvmlite.__version__, numba.__version__, sys.version)
     return "\0".join((processor().key, *versions, *sources))
@@ -301,7 +296,7 @@ def _check_numbas() -> None:
             info = path.stat()
             # systems give each user a group, of the same number
             shared = stat.S_IWOTH | (0 if info.st_gid == info.st_uid else stat.S_IWGRP)
-            if path != own and info.st_mode & stat.S_ISVTX:  # others can not replace what is there
+            if path != own and info.st_mode & stat.S_ISVTX:  # others cannot replace the files
                 continue
             if why := _others(path, shared):
                 warnings.warn(

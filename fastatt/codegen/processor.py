@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 from typing import NamedTuple
 
-from numba.core.registry import cpu_target
-
+from fastatt._numba import target
 from fastatt.codegen.memory import DTYPES
 
 
@@ -40,5 +39,4 @@ def described(triple: str, name: str, features: str) -> Processor:
 @functools.cache
 def processor() -> Processor:
     """The processor that Numba compiles for, as ``NUMBA_CPU_NAME`` and others may set it."""
-    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
-    return described(str(triple), str(name), str(features))
+    return described(*target())

@@ -17,6 +17,7 @@ from numba import types
 
 from fastatt._jit import loop_part, machine
 from fastatt.codegen.call import TYPES, call
+from fastatt.codegen.lanes import Part
 
 #: inputs and results of ``perform_rows``, filled up with arrays of no columns
 INPUTS, RESULTS = 6, 5
@@ -46,17 +47,18 @@ def store(rows, source, to, sample, first_row, count):
             own[j, i] = lanes[i, j]
 
 
-def perform_rows(entry, whole, rows, sources, results, first_result, first_row, last_row):
+def perform_rows(entry, whole, rows, sources, results, held, first_result, first_row, last_row):
     """Apply a formula to the rows [first_row, last_row) of all samples, one after the other.
 
     What is the same for the next sample, or the next rows, is not loaded again. ``whole`` is the
-    address of the formula's resources; ``first_result`` is the first row of lanes with results, 0
-    for a state that goes from sample to sample.
+    address of the formula's resources. The first ``held`` rows of lanes are those on which its
+    constants depend; ``first_result`` is the first row with results, 0 for a state that goes from
+    sample to sample.
     """
     for b in range(first_row, last_row, rows.shape[1]):
         count = min(last_row - b, rows.shape[1])
         for s in range(sources[0].shape[0]):
-            to = 0
+            to, is_other = 0, False
             for source in sources:
                 if source.shape[2] == 0:
                     break
@@ -64,8 +66,11 @@ def perform_rows(entry, whole, rows, sources, results, first_result, first_row, 
                 is_new = is_sampled or (s == 0 and source.strides[1] != 0)
                 if is_new or (s == 0 and b == first_row):
                     load(source, s, b, rows, to)
+                    is_other = is_other or to < held
                 to += source.shape[2]
-            call(entry, 0, (rows, whole), (count,))
+            if is_other:
+                call(entry, Part.CONSTANTS, (rows, whole), (count,))
+            call(entry, Part.EACH, (rows, whole), (count,))
             at = first_result
             for result in results:
                 if result.shape[2] == 0:
@@ -80,7 +85,7 @@ def row_machine(kind: str) -> Callable[..., None]:
     real, n = TYPES[kind], types.int64
     source, result = types.Array(real, 3, "A", readonly=True), types.Array(real, 3, "A")
     arrays = types.UniTuple(source, INPUTS), types.UniTuple(result, RESULTS)
-    return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n, n))
+    return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n, n, n))
 
 
 def filled(arrays: list[Any], n: int) -> tuple[Any, ...]:

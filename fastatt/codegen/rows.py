@@ -59,6 +59,9 @@ class RowFunction:
     tables, which a call provides, and call functions that are not traced. ``inputs`` are widths by
     name, ``outputs`` those of the output arrays; ``kind`` is the precision of all, "double" or
     "single". ``native`` formulas are for machine code only (``fastatt.tracing.native``).
+
+    ``constants`` is a function of all inputs but the last one; ``function`` takes its results, a
+    tuple of numbers, after the inputs. They are computed when one of those inputs changes.
     """
 
     _widest = WIDEST
@@ -71,26 +74,52 @@ class RowFunction:
         kind: str = "double",
         *,
         native: bool = False,
+        constants: Callable[..., Any] | None = None,
     ) -> None:
-        self._function, self._native = function, native
+        self._function, self._native, self._constants = function, native, constants
         self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
         self._dtype = DTYPES[kind]
         #: total widths of the inputs and of the outputs
         self._taken = sum(map(_count, self.inputs.values()))
         self._given = sum(map(_count, self.outputs))
-        self._first_result = self._taken
 
     @cached_property
     def traced(self) -> Traced:
         """The function's operations."""
-        forms = [
-            self.kind if n is None else Tuple(tuple, (self.kind,) * n) for n in self.inputs.values()
-        ]
+        forms = list(map(self._form, self.inputs.values()))
+        if self.constants is not None:
+            forms.append(self._form(len(self.constants.flat.results)))
         made = trace(self._function, forms, self._widest, self.kind, native=self._native)
         count = len(made.flat.results)
         if count != self._given:
             raise ValueError(f"function: gives {count} numbers; accepted: {self._given}")
         return made
+
+    @cached_property
+    def constants(self) -> Traced | None:
+        """The operations of the constants."""
+        if self._constants is None:
+            return None
+        forms = list(map(self._form, self.inputs.values()))[:-1]
+        return trace(self._constants, forms, 0, self.kind, native=self._native)
+
+    def _form(self, n: Width) -> Any:
+        return self.kind if n is None else Tuple(tuple, (self.kind,) * n)
+
+    @cached_property
+    def _read(self) -> int:
+        """The number of rows of lanes that the function reads: inputs, then constants."""
+        return self._taken + (len(self.constants.flat.results) if self.constants else 0)
+
+    @property
+    def _first_result(self) -> int:
+        """The first row of lanes with results."""
+        return self._read
+
+    @property
+    def _held(self) -> int:
+        """The rows of lanes on which the constants depend."""
+        return self._taken - _count([*self.inputs.values()][-1]) if self.constants else 0
 
     @cached_property
     def _resources(self) -> Sequence[tuple[str, Any]]:
@@ -99,10 +128,16 @@ class RowFunction:
 
     @cached_property
     def _shape(self) -> Shape:
-        """Blocks of a few vectors; single rows with derivatives or a recurrence."""
-        if self.traced.lanes > 1 or self.traced.loop is not None:
+        """Blocks of a few vectors; single rows with derivatives.
+
+        Two vectors together hide the latency of long chains of operations on constants; more
+        would need a loop, before which constants are loaded into more registers than there are.
+        """
+        if self.traced.lanes > 1:
             return Shape(self.kind, 1, 1)
         lanes = processor().lanes(self.kind)
+        if self._constants:
+            return Shape(self.kind, 2 * lanes, 2 * lanes)
         return Shape(self.kind, _VECTORS * lanes, lanes)
 
     @cached_property
@@ -115,35 +150,42 @@ class RowFunction:
         return self._compiled(Shape(self.kind, 1, 1))
 
     def _compiled(self, shape: Shape) -> _Made:
-        traced, first = self.traced, self._first_result
-        inputs = {("x", k): Place(k) for k in range(self._taken)}
-        by_lanes = traced.lanes == 1 and traced.loop is None
-        results = [Place(row) for row in range(first, first + self._given)]
-        formula = LaneFormula(traced.flat if by_lanes else traced, inputs, results)
-        function = lane_function(shape, formula, self._resources)
-        return _Made(function, shape, self._taken + self._given)
+        places = [Place(row) for row in range(self._read + self._given)]
+
+        def formula(traced: Traced, first: int, n: int) -> LaneFormula:
+            inputs = {("x", k): place for k, place in enumerate(places[: self._read])}
+            graph = traced.flat if traced.lanes == 1 else traced
+            return LaneFormula(graph, inputs, places[first : first + n])
+
+        made = formula(self.traced, self._first_result, self._given)
+        constants = None
+        if self.constants:
+            constants = formula(self.constants, self._taken, self._read - self._taken)
+        function = lane_function(shape, made, self._resources, constants)
+        return _Made(function, shape, len(places))
 
     def _run(
         self, sources: list[Array], results: list[Array], whole: array[int], n_threads: int
     ) -> None:
         """Apply the function to arrays (S, B, k), all rows of a sample before the next sample."""
         made, least = self._made, _LEAST if self._made.shape.block > 1 else _LEAST_ONE_BY_ONE
-        run, inputs, outputs = (
+        run, entry, (samples, n) = (
             row_machine(self.kind),
-            filled(sources, INPUTS),
-            filled(results, RESULTS),
+            made.function.address,
+            results[0].shape[:2],
         )
-        (samples, n), at = results[0].shape[:2], _first(whole)
-        entry, first = made.function.address, self._first_result
+        inputs, outputs, at = filled(sources, INPUTS), filled(results, RESULTS), _first(whole)
+        rows = self._held, self._first_result
 
         def some(a: int, z: int) -> None:
-            run(entry, at, made.memory(), inputs, outputs, first, a, z)
+            run(entry, at, made.memory(), inputs, outputs, *rows, a, z)
 
         def samples_of(a: int, z: int) -> None:
             pairs = ([x[a:z] for x in each] for each in (inputs, outputs))
-            run(entry, at, made.memory(), *map(tuple, pairs), first, 0, n)
+            run(entry, at, made.memory(), *map(tuple, pairs), *rows, 0, n)
 
-        if samples > 1 and self._first_result:
+        # constants are computed for each piece, so that few samples are not divided
+        if samples > 1 and self._first_result and (samples >= n or not self._held):
             in_pieces(samples, n_threads, samples_of, -(-least // n), max(1, _PIECE // n))
         else:
             in_pieces(n, n_threads, some, -(-least // samples), max(1, _PIECE // samples))
@@ -216,8 +258,9 @@ class RowFunction:
         run, whole, memory = row_machine(self.kind), array("q"), made.memory()
         sources = filled(wide, INPUTS)
         results = filled([x.reshape(1, n, -1) for x in out], RESULTS)
-        entry, first = made.function.address, self._first_result
-        return partial(run, entry, _first(whole), memory, sources, results, first, 0, n)
+        rows = self._held, self._first_result
+        entry = made.function.address
+        return partial(run, entry, _first(whole), memory, sources, results, *rows, 0, n)
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
         """An input (..., n) in the precision, with the numbers of a row side by side."""
@@ -238,6 +281,8 @@ class LogFunction(RowFunction):
     """
 
     _widest = 0
+    # the result is the state for the next sample
+    _first_result = 0
 
     def __init__(
         self,
@@ -247,8 +292,6 @@ class LogFunction(RowFunction):
         given: Mapping[str, int],
     ) -> None:
         super().__init__(step, {"state": size, **sampled, **given}, (size,))
-        # the result is the state for the next sample
-        self._first_result = 0
 
     @cached_property
     def _shape(self) -> Shape:

@@ -11,21 +11,23 @@ import ctypes
 import functools
 import inspect
 import struct
-import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.core.errors import TypingError
-from numba.core.imputils import lower_builtin, lower_constant
-from numba.core.registry import CPUDispatcher
-from numba.core.typing.templates import signature
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
 from fastatt._cached import cached_property
+from fastatt._numba import (
+    CPUDispatcher,
+    FormulaType,
+    TypingError,
+    array_of,
+    check,
+    never_kept,
+)
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import POINTERS, write
 from fastatt.codegen.instructions import Code
@@ -44,12 +46,11 @@ class ScalarFunction:
     """A formula as a function for jitted code, and for Python.
 
     ``function`` is a kernel or a plain function of traced numbers, which is called as it is; with
-    ``rewritten`` a function that is written like kernels are (``tracing.trace``); or a
-    ``Recurrence``. It takes floats and tuples of them, nested and named ones too, and returns such;
-    results are of single precision if all arguments are. Globals of the formula are read when it is
-    first called with arguments of some types. ``tables`` are the arrays that it reads; ``arrays``
-    names the arguments that may also be arrays of one axis, in place of tuples, with the number of
-    elements that are read.
+    ``rewritten`` a function that is written like kernels are (``tracing.trace``). It takes floats
+    and tuples of them, nested and named ones too, and returns such; results are of single precision
+    if all arguments are. Globals of the formula are read when it is first called with arguments of
+    some types. ``tables`` are the arrays that it reads; ``arrays`` names the arguments that may
+    also be arrays of one axis, in place of tuples, with the number of elements that are read.
 
     Code that calls it contains the formula at that time. Numba keeps no such code on disk, since it
     would not notice that the formula has become another one, and warns of ``@njit(cache=True)``.
@@ -76,11 +77,9 @@ class ScalarFunction:
         self.parameters = inspect.signature(function)
         sizes = dict(arrays or {})
         self.sizes = [sizes.get(name, 0) for name in self.parameters.parameters]
-        self.numba_type = _Type(self)
+        self.numba_type = _numba_type(self)
         self._traced: dict[Any, Traced] = {}
-        self._compiled: dict[Any, tuple[Any, Any]] = {}
-        # the forms of the last call from Python, which the next call most likely has too
-        self._last: tuple[Callable[..., Any], Callable[..., Any]] | None = None
+        self._compiled: dict[Any, Callable[..., Any]] = {}
 
     @cached_property
     def formula(self) -> Callable[..., Any]:
@@ -96,10 +95,6 @@ class ScalarFunction:
 
     def __call__(self, *args: Any, **named: Any) -> Any:
         """Traced numbers for traced numbers; otherwise floats, for float32 those of NumPy."""
-        if self._last is not None and not named:
-            unpack, call = self._last
-            if (found := unpack(args)) is not None:
-                return call(found)
         if named:
             args = self.parameters.bind(*args, **named).args
         if any(self.sizes):
@@ -112,9 +107,8 @@ class ScalarFunction:
             return self.formula(*args)
         forms = tuple(_form_of(x, self.__name__) for x in args)
         if forms not in self._compiled:
-            self._compiled[forms] = _unpacking(forms), self._in_memory(forms)
-        self._last = self._compiled[forms]
-        return self._last[1](numbers)
+            self._compiled[forms] = self._in_memory(forms)
+        return self._compiled[forms](numbers)
 
     def _in_memory(self, forms: tuple[Any, ...]) -> Callable[[Sequence[float]], Any]:
         """The formula compiled, as a function of its arguments' numbers."""
@@ -133,73 +127,26 @@ class ScalarFunction:
         # struct packs numbers in a third of the time of ctypes
         pack = struct.Struct(f"{n}d").pack_into
         unpack = struct.Struct(f"{count}d").unpack_from
-        assembled = _assembling(traced.form)
 
         def call(numbers: Sequence[float]) -> Any:
             memory = room()
             pack(memory, 0, *numbers)
             run(0, memory, whole, 1)
-            return assembled(unpack(memory, 8 * n))
+            return _assembled(traced.form, iter(unpack(memory, 8 * n)))
 
         return call
 
 
 scalar_function = ScalarFunction
 
-# arguments and results in Python
 
-
-def _unpacking(forms: Sequence[Any]) -> Callable[[Any], tuple[float, ...] | None]:
-    """A function that returns the numbers of arguments, in order; None for other forms."""
-    scope: dict[str, Any] = {}
-    lines = ["def unpacked(a):"]
-    leaves: list[str] = []
-
-    def taken(parts: Sequence[Any], name: str) -> None:
-        names = [f"{name}_{k}" for k in range(len(parts))]
-        lines.append(f"    if len({name}) != {len(parts)}: return None")
-        if names:
-            lines.append(f"    {', '.join(names)}, = {name}")
-        for part, own in zip(parts, names, strict=True):
-            if not isinstance(part, Tuple):
-                leaves.append(own)
-                continue
-            scope[f"class{own}"] = part.cls
-            lines.append(f"    if type({own}) is not class{own}: return None")
-            taken(part.parts, own)
-
-    taken(forms, "a")
-    numbers = "".join(f"{leaf}, " for leaf in leaves)
-    lines.append(f"    numbers = ({numbers})")
-    lines.append("    return numbers if {*map(type, numbers)} == {float} else None")
-    if any(kind != "double" for kind in flattened_forms(forms)):
-        return lambda args: None
-    exec("\n".join(lines), scope)
-    found: Callable[[Any], tuple[float, ...] | None] = scope["unpacked"]
-    return found
-
-
-_OF_KIND = {"single": "single({})", "double": "{}", "truth": "bool({})"}
-
-
-def _assembling(form: Any) -> Callable[[Sequence[Any]], Any]:
-    """A function that brings a list of numbers into a form."""
-    scope: dict[str, Any] = {"single": np.float32}
-    places = iter(range(len(list(flattened_forms((form,))))))
-
-    def made(part: Any) -> str:
-        if not isinstance(part, Tuple):
-            return _OF_KIND[part].format(f"r[{next(places)}]")
-        inner = "".join(f"{made(x)}, " for x in part.parts)
-        if part.cls is tuple:
-            return f"({inner})"
-        name = f"class{len(scope)}"
-        scope[name] = part.cls
-        return f"{name}({inner})"
-
-    exec(f"def assembled(r):\n    return {made(form)}", scope)
-    found: Callable[[Sequence[Any]], Any] = scope["assembled"]
-    return found
+def _assembled(form: Any, numbers: Iterator[float]) -> Any:
+    """Numbers, brought into a form for Python."""
+    if isinstance(form, Tuple):
+        parts = [_assembled(part, numbers) for part in form.parts]
+        return tuple(parts) if form.cls is tuple else form.cls(*parts)
+    x = next(numbers)
+    return bool(x) if form == "truth" else np.float32(x) if form == "single" else x
 
 
 # forms
@@ -240,70 +187,43 @@ def _type_of_form(form: Any) -> Any:
 # Numba's side
 
 
-class _Type(types.Callable, types.Opaque):  # type: ignore[misc]
-    """The Numba type of a formula, one for each."""
+def _numba_type(scalar: ScalarFunction) -> FormulaType:
+    """The Numba type of a formula, which is written in place of a call."""
+    name = scalar.__name__
 
-    def __init__(self, scalar: ScalarFunction) -> None:
-        self.scalar = scalar
-        super().__init__(name=f"{scalar.__name__}:{uuid.uuid4().hex}")
-        lower_builtin(self, types.VarArg(types.Any))(self._lower)
+    def forms_of(given: Sequence[Any]) -> tuple[Any, ...]:
+        pairs = zip(given, scalar.sizes, strict=False)
+        return tuple(_form_of_type(ty, name, n) for ty, n in pairs)
 
-    def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        """Signature of a call."""
-        name = self.scalar.__name__
+    def typed(args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
         try:
-            bound = self.scalar.parameters.bind(*args, **kws).args
+            bound = scalar.parameters.bind(*args, **named).args
             given = [types.unliteral(ty) for ty in bound]
-            result = self.scalar.traced(self._forms(given)).form
+            result = scalar.traced(forms_of(given)).form
         except TypeError as error:
             raise TypingError(f"{name}: {error}") from error
-        return signature(_type_of_form(result), *given).replace(pysig=self.scalar.parameters)
+        return _type_of_form(result), given, scalar.parameters
 
-    def _forms(self, given: Sequence[Any]) -> tuple[Any, ...]:
-        sizes = self.scalar.sizes
-        return tuple(
-            _form_of_type(ty, self.scalar.__name__, n) for ty, n in zip(given, sizes, strict=False)
-        )
-
-    def get_call_signatures(self) -> Any:
-        """No signatures are known beforehand."""
-        return (), False
-
-    def get_impl_key(self, sig: Any) -> _Type:
-        """The key under which the lowering is registered."""
-        return self
-
-    def _lower(self, context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        forms = self._forms(sig.args)
-        traced = self.scalar.traced(forms)
+    def written(context: Any, builder: Any, given: Sequence[Any], args: Sequence[Any]) -> Any:
+        forms = forms_of(given)
+        traced = scalar.traced(forms)
         code = Code(builder)
         keys, pointers = traced.resources, {}
-        _never_kept(builder.module)
-        for key, at in zip(keys, addresses(keys, self.scalar.tables), strict=True):
-            pointer = context.add_dynamic_addr(builder, at, info=self.scalar.__name__)
+        check()
+        never_kept(builder.module)
+        for key, at in zip(keys, addresses(keys, scalar.tables), strict=True):
+            pointer = context.add_dynamic_addr(builder, at, info=name)
             pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
-        given: list[Any] = []
-        for form, ty, x in zip(forms, sig.args, args, strict=True):
+        numbers: list[Any] = []
+        for form, ty, x in zip(forms, given, args, strict=True):
             of_array = isinstance(ty, types.Array)
-            given += _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
-        results = iter(write(code, traced, given, pointers))
+            numbers += (
+                _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
+            )
+        results = iter(write(code, traced, numbers, pointers))
         return _made(context, builder, traced.form, results)
 
-
-def _never_kept(module: Any) -> None:
-    """Tell Numba that the code of this module, and code linked with it, is for this process only.
-
-    Numba keeps nothing on disk that has a variable of such a name. LLVM does not remove variables
-    that ``llvm.compiler.used`` lists.
-    """
-    name = "numba.dynamic.globals.formula"
-    if name not in module.globals:
-        held = ir.GlobalVariable(module, ir.IntType(8), name)
-        held.linkage, held.initializer = "internal", ir.Constant(ir.IntType(8), 0)
-        pointers = ir.ArrayType(ir.IntType(8).as_pointer(), 1)
-        used = ir.GlobalVariable(module, pointers, "llvm.compiler.used")
-        used.linkage, used.section = "appending", "llvm.metadata"
-        used.initializer = ir.Constant(pointers, [held])
+    return FormulaType(name, typed, written)
 
 
 def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:
@@ -317,11 +237,12 @@ def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:
 
 def _read(context: Any, builder: Any, ty: Any, value: Any, form: Any) -> Iterator[Any]:
     """The numbers of an array, as many as its form has."""
-    array = context.make_array(ty)(context, builder, value)
-    (step,) = cgutils.unpack_tuple(builder, array.strides, 1)
+    first, strides = array_of(context, builder, ty, value)
+    step = builder.extract_value(strides, 0)
+    begin = builder.ptrtoint(first, step.type)
     for i in range(len(form.parts)):
-        at = builder.mul(step, ir.Constant(step.type, i))
-        yield builder.load(cgutils.pointer_add(builder, array.data, at))
+        at = builder.add(begin, builder.mul(step, ir.Constant(step.type, i)))
+        yield builder.load(builder.inttoptr(at, first.type))
 
 
 def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
@@ -333,19 +254,14 @@ def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
     return builder.fcmp_unordered("!=", x, ir.Constant(x.type, 0.0)) if form == "truth" else x
 
 
-register_model(_Type)(models.OpaqueModel)
+register_model(FormulaType)(models.OpaqueModel)
 
 
 @typeof_impl.register(ScalarFunction)  # type: ignore[untyped-decorator]
-def _typeof(value: ScalarFunction, c: Any) -> _Type:
+def _typeof(value: ScalarFunction, c: Any) -> FormulaType:
     return value.numba_type
 
 
-@lower_constant(_Type)  # type: ignore[untyped-decorator]
-def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
-    return context.get_dummy_value()
-
-
-@unbox(_Type)  # type: ignore[untyped-decorator]
+@unbox(FormulaType)  # type: ignore[untyped-decorator]
 def _unboxed(ty: Any, value: Any, c: Any) -> NativeValue:
     return NativeValue(c.context.get_dummy_value())

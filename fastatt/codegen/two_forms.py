@@ -6,7 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Any
 
-from numba.core.compiler_lock import global_compiler_lock
+from fastatt._numba import compiler_lock
 
 
 class TwoForms(ABC):
@@ -34,7 +34,7 @@ class TwoForms(ABC):
 
     def compile_any_angle(self) -> None:
         """Compile the any-angle form, if it is not compiled."""
-        with global_compiler_lock:
+        with compiler_lock:
             if self.any_angle == 0:
                 made = self._compiled(small_angle=False)
                 self.functions.append(made)

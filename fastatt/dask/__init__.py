@@ -5,13 +5,10 @@ The first chunk in a process loads the compiled loop, or compiles it. Results ha
 those of :func:`fastatt.propagate`, whatever the chunks. Warnings reach the client's process.
 """
 
-try:
-    import dask.array  # noqa: F401
-except ImportError:
-    raise ImportError(
-        "fastatt.dask: needs dask; install it with pip install 'fastatt[dask]'"
-    ) from None
+from fastatt import checks
 
-from fastatt.dask.runs import LazyTrajectory, propagate
+checks.optional("fastatt.dask", "dask.array", "fastatt[dask]")
+
+from fastatt.dask.runs import LazyTrajectory, propagate  # noqa: E402
 
 __all__ = ["LazyTrajectory", "propagate"]

@@ -16,11 +16,12 @@ from dask.delayed import Delayed, delayed
 from dask.highlevelgraph import HighLevelGraph
 
 from fastatt import checks, rounding
+from fastatt.engine.events import Event
 from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.event import Event, events_of
+from fastatt.propagation.event import events_of
 from fastatt.propagation.initial import INITIAL, initial
-from fastatt.propagation.options import Clock
+from fastatt.propagation.options import clock_of
 from fastatt.propagation.propagate import propagate as run_chunk
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
@@ -93,8 +94,8 @@ class LazyTrajectory(DaskMethodsMixin):  # type: ignore[misc]
 def _joined(runs: Sequence[Trajectory]) -> Trajectory:
     """The trajectories of chunks, joined."""
     axes = {"state": 1, "norm_error": 1, "status": 0}
-    if runs[0].found is not None:
-        axes["found"] = 0
+    if runs[0].crossings is not None:
+        axes["crossings"] = 0
     joined: Any = {k: np.concatenate([getattr(run, k) for run in runs], axes[k]) for k in axes}
     carried = {k: np.concatenate([run.carried[k] for run in runs], 1) for k in runs[0].carried}
     return replace(runs[0], carried=carried, **joined)
@@ -119,7 +120,6 @@ def propagate(
     t0: float = 0.0,
     compensated: bool = False,
     normalise: str | int = "output",
-    invalid: str = "raise",
     events: Event | Sequence[Event] = (),
 ) -> LazyTrajectory:
     """Propagate an ensemble in chunks of bodies, lazily.
@@ -146,7 +146,7 @@ def propagate(
     n_steps : int, optional
         Number of steps. Give either ``n_steps`` or ``t_end``.
     t_end : float, optional
-        Duration of the run, s, as in :func:`fastatt.propagate`.
+        Time of the end, s, as in :func:`fastatt.propagate`.
     chunks : int or sequence of int, optional
         Number of bodies in a chunk, or in each. The default is the chunks of the first Dask array,
         or else 100 000.
@@ -163,10 +163,7 @@ def propagate(
     compensated : bool, default False
         Compensate rounding, as in :func:`fastatt.propagate`.
     normalise : {"output", "never"} or int, default "output"
-        When the state is projected, as in :func:`fastatt.propagate`.
-    invalid : {"raise", "flag"}, default "raise"
-        As in :func:`fastatt.propagate`. With "raise", a bad body in a Dask array fails its chunk,
-        and the error has a note of the chunk's bodies.
+        When the state is renormalised, as in :func:`fastatt.propagate`.
     events : Event or sequence of Event, optional
         Events, as in :func:`fastatt.propagate`.
 
@@ -179,7 +176,8 @@ def propagate(
     Raises
     ------
     ValueError, TypeError
-        If an argument does not fit.
+        If an argument does not fit. If it is a body's in a Dask array, its chunk fails, and the
+        error has a note of the chunk's bodies.
 
     Examples
     --------
@@ -192,26 +190,28 @@ def propagate(
     >>> lazy.compute().q.shape
     (1, 5, 4)
     """
-    watched = events_of(events)
-    record = chosen(as_scene(scene), method, representation, compensated, normalise, watched).method
-    t = Clock.of(dt, n_steps, save_every, t_end=t_end).times(checks.real("t0", t0))
-    flag = checks.flags_invalid(invalid)
-    given = dict(zip(INITIAL, (q0, w0, v0, r0, s0), strict=True))
-    lazy = {name: x for name, x in given.items() if isinstance(x, da.Array)}
+    scene = as_scene(scene)
+    watched = events_of(events, scene, position=r0 is not None)
+    record = chosen(scene, method, representation, compensated, normalise, watched).method
+    start = checks.real("t0", t0)
+    t = clock_of(dt, n_steps, t_end, save_every, t0=start).times(start)
+    arguments = dict(zip(INITIAL, (q0, w0, v0, r0, s0), strict=True))
+    lazy = {name: x for name, x in arguments.items() if isinstance(x, da.Array)}
     for name, x in lazy.items():
         if np.isnan(x.shape).any():
             raise ValueError(f"{name}: found unknown sizes; accepted: after compute_chunk_sizes()")
-    start, beside = initial(scene, [*map(_like, given.values())], flag=flag)
-    values = {"q0": start, **beside, **lazy}
+    like = [*map(_like, arguments.values())]
+    attitudes, coupled = initial(scene, like)
+    values = {"q0": attitudes, **coupled, **lazy}
     n = max((len(x) for x in values.values() if x.ndim == 2), default=0)
     if n == 0:
         raise ValueError("q0: found one body; accepted: (N, 4), or another with N rows")
     scene.packed(n)  # raises for another number of bodies
-    kind = checks.precision(dtype, *map(_like, given.values()))
+    kind = checks.precision(dtype, *like)
     options = {
         "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "dtype": kind,
         "method": record, "representation": representation, "compensated": compensated,
-        "normalise": normalise, "invalid": invalid, "t0": t0, "events": watched, "n_threads": 1,
+        "normalise": normalise, "t0": t0, "events": watched, "n_threads": 1,
     }  # fmt: skip
     sizes = _sizes(chunks, n, lazy.values())
     blocks = zip(*(_blocks(x, n, sizes) for x in values.values()), strict=True)

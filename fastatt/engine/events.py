@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from fastatt.engine.status import is_number
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
-from fastatt.tracing.user import UserFunction
 
 if TYPE_CHECKING:
     from fastatt.engine.job import Scope
@@ -39,13 +39,24 @@ Times = NDArray[np.float64]
 Points = tuple[Times, Times]
 
 
-class Watch(NamedTuple):
-    """A user-defined function whose first zero crossing is located, and its direction."""
+@dataclass(frozen=True)
+class Event:
+    """A function of the motion whose first zero crossing is located; :func:`event` makes it.
 
-    function: UserFunction
-    direction: int
-    #: whether a body stops at the event
-    terminal: bool
+    Attributes
+    ----------
+    function : callable
+        The function.
+    direction : {-1, 0, 1}
+        The direction of the crossing.
+    terminal : bool
+        Whether the body stops there.
+    """
+
+    #: a ``UserFunction`` in a run
+    function: Any
+    direction: int = 0
+    terminal: bool = False
 
     @property
     def reads_position(self) -> bool:
@@ -53,7 +64,7 @@ class Watch(NamedTuple):
         return len(self.function.form.before) > 4
 
 
-def sizes(events: Sequence[Watch], size: int, extras: int) -> dict[str, int]:
+def sizes(events: Sequence[Event], size: int, extras: int) -> dict[str, int]:
     """The rows that a body needs for its events: how many of each group.
 
     ``size`` numbers are the stepped variables, ``extras`` those that the method prepared.
@@ -65,7 +76,7 @@ def sizes(events: Sequence[Watch], size: int, extras: int) -> dict[str, int]:
     }  # fmt: skip
 
 
-def begun(events: Sequence[Watch], size: int, extras: int) -> list[float]:
+def begun(events: Sequence[Event], size: int, extras: int) -> list[float]:
     """These rows when a run begins."""
     n = sizes(events, size, extras)
     event = [0.0 if name == "mark" else math.nan for name in EVENT]
@@ -81,16 +92,15 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
     structure, p = scope.job.structure, scope.p
     # velocity and position come before the states of the scene
     states = structure.turning.law.states
-    beside = tuple(map(Double, x[len(x) - structure.beside :]))
-    moved, s = beside[: len(beside) - states], beside[len(beside) - states :]
-    found = []
+    coupled = tuple(map(Double, x[len(x) - structure.coupled :]))
+    moved, s = coupled[: len(coupled) - states], coupled[len(coupled) - states :]
+    of_rotation, results = p[: structure.turning.n_params], []
     for watch in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
-        own = p[: structure.turning.n_params]
-        given = own[len(own) - watch.function.n_params :]
+        params = of_rotation[len(of_rotation) - watch.function.n_params :]
         placed = (moved[:3], moved[3:]) if watch.reads_position else ()
-        found.append(scope.called(watch.function.given, t, x, *placed, s, given))
-    return found
+        results.append(scope.called(watch.function.given, t, x, *placed, s, params))
+    return results
 
 
 def _now(scope: Scope) -> list[Any]:
@@ -131,7 +141,7 @@ def going_on(scope: Scope) -> Any:
 
 
 def after_step(scope: Scope) -> Flat:
-    """After another step: what is kept of the first one in which each function may cross zero.
+    """Marks after a step, which record the first one in which each function may cross zero.
 
     The results are x, then the groups of ``sizes``, then the largest squared angle. A body stays
     where it was before the step that is marked by a terminal event.

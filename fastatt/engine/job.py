@@ -14,19 +14,17 @@ import numpy as np
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
-from fastatt.engine.events import Watch, begun, going_on, look
+from fastatt.engine.events import Event, begun, going_on, look
 from fastatt.engine.status import DIAGNOSTICS, SAVED, flags, larger, relative_change
 from fastatt.methods.method import Method
-from fastatt.scene.coupled import Coupled
 from fastatt.scene.equations import (
     Body,
+    Coupled,
     EquationsOfMotion,
     RigidBody,
     Structure,
-    carried,
     motion_of,
 )
-from fastatt.scene.rates import is_constant
 from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import CLASSES, Double, Graph, Number, both, choose, number
@@ -56,7 +54,7 @@ class Job:
     raw: bool = False
     projects: bool = False
     #: events that are looked for after each step
-    events: tuple[Watch, ...] = ()
+    events: tuple[Event, ...] = ()
     #: rates, torques and forces are evaluated between two breakpoints only
     windowed: bool = False
     #: bodies in a tile; fewer for small ensembles, which is faster and gives the same bits
@@ -84,7 +82,8 @@ class Formulas:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self.size = carried(job.attitude, job.structure)
+        low = job.structure.turning.tail if job.attitude.compensated else 0
+        self.size = job.attitude.size + low + job.structure.tail
         self.parameters = job.structure.n_params
         self.coordinates = job.attitude.coordinates
         self.given = self.coordinates + job.structure.tail
@@ -92,9 +91,11 @@ class Formulas:
 
     def scope(self, *, small_angle: bool = False) -> Scope:
         """The numbers and the equations of motion of a formula."""
-        job = self.job
-        attitude = job.attitude.short if small_angle and job.method.exponentials else job.attitude
-        return Scope(self, attitude, Graph())
+        job, graph = self.job, Graph()
+        p, like = graph.inputs("double", "p", self.parameters), graph.input(job.kind, "h")
+        names = ("low", "high") if job.windowed else ()
+        window = tuple(graph.input("double", name) for name in names)
+        return Scope(self, like, p, window, small_angle=small_angle)
 
     def _form(self, small_angle: bool) -> Flat:
         scope = self.scope(small_angle=small_angle)
@@ -103,7 +104,7 @@ class Formulas:
         flat = scope.finished((*x, z))
         if not self.job.shared:
             flat = self._constants.without(flat, more=small_angle)
-        return flat.in_few_registers()
+        return flat
 
     @cached_property
     def _constants(self) -> Constants:
@@ -128,7 +129,7 @@ class Formulas:
 
     @cached_property
     def any_angle(self) -> Flat | None:
-        """The same for any rotation angle, if it has another form."""
+        """State and angle after a step or a stage, for any angle, if it has another form."""
         return self._form(False) if self.job.has_any_angle_form else None
 
     @cached_property
@@ -137,7 +138,7 @@ class Formulas:
         scope = self.scope()
         y = scope.inputs("y", self.given)
         t, h = scope.time(), scope.number("h")
-        x = scope.defined(h, scope.begin(y[: self.coordinates], y[self.coordinates :]))
+        x = scope.defined(h, scope.motion.begin(y[: self.coordinates], y[self.coordinates :]))
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
         kept = (*stepped, *e, *scope.monitored(h, x), *begun(self.job.events, len(x), len(e)))
@@ -153,7 +154,7 @@ class Formulas:
     def invariants(self) -> int:
         """Number of invariants."""
         scope = self.scope()
-        return len(scope.invariants(scope.inputs("x", self.size)))
+        return len(scope.motion.invariants(scope.inputs("x", self.size)))
 
     @cached_property
     def save(self) -> Flat:
@@ -161,7 +162,7 @@ class Formulas:
         scope = self.scope()
         y, norm_error = scope.output(scope.left_now())
         before = scope.inputs("invariants", self.invariants)
-        change = relative_change(before, scope.invariants(scope.left_now()))
+        change = relative_change(before, scope.motion.invariants(scope.left_now()))
         largest = scope.inputs("largest", len(SAVED))
         new = [larger(x, abs(y)) for x, y in zip(largest, (norm_error, change), strict=True)]
         if any(watch.terminal for watch in self.job.events):
@@ -181,7 +182,13 @@ class Formulas:
         )
 
     @property
-    def _regrids(self) -> bool:
+    def share(self) -> float:
+        """By how much of a step the stepped variables are ahead."""
+        stages = self.job.method.stages
+        return 0.5 * float(stages[-1][1]) if stages else 0.0
+
+    @property
+    def regrids(self) -> bool:
         """Whether the stepped variables depend on the step size."""
         steps = self.job.method.steps
         return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
@@ -189,7 +196,7 @@ class Formulas:
     @cached_property
     def leave(self) -> Flat | None:
         """The state from the stepped variables; None if they are equal."""
-        if not self._regrids:
+        if not self.regrids:
             return None
         scope = self.scope()
         return scope.finished(scope.left_now())
@@ -197,7 +204,7 @@ class Formulas:
     @cached_property
     def enter(self) -> Flat | None:
         """Stepped variables and prepared numbers from the state; None if they are equal."""
-        if not self._regrids:
+        if not self.regrids:
             return None
         scope = self.scope()
         x = scope.state()
@@ -215,7 +222,10 @@ class Formulas:
 
     @cached_property
     def project(self) -> Flat | None:
-        """The projected state, and the largest norm error; None if it is never projected."""
+        """The projected state, and the largest norm error; None if it is never projected.
+
+        The errors that projections remove from a compensated state add up.
+        """
         if not self.job.projects:
             return None
         scope = self.scope()
@@ -223,7 +233,9 @@ class Formulas:
         (largest,) = scope.inputs("largest", 1)
         restore = self.job.attitude.restore
         a, d = (x[:n], 0.0) if restore is None else restore(x[:n])
-        return scope.finished((*a, *x[n:], larger(largest, abs(d))))
+        removed = self.job.attitude.compensated
+        lost = largest + abs(d) if removed else larger(largest, abs(d))
+        return scope.finished((*a, *x[n:], lost))
 
     @cached_property
     def look(self) -> Flat:
@@ -243,7 +255,7 @@ class Formulas:
 
     @cached_property
     def calls(self) -> int:
-        """Number of results of calls of functions that are not traced, in a step."""
+        """Number of results of calls of functions that are not followed, in a step."""
         return sum(node.op == "item" for node in self.small_angle.nodes)
 
     @cached_property
@@ -260,32 +272,30 @@ class Formulas:
 
 
 class Scope:
-    """A graph, the job's equations of motion on it, and the parts of a run as formulas."""
+    """A graph, the job's equations of motion on it, and the parts of a run as formulas.
 
-    def __init__(self, formulas: Formulas, attitude: Attitude, graph: Graph) -> None:
-        job = formulas.job
-        self.formulas, self.graph = formulas, graph
-        self.kind, self.job, self.attitude = job.kind, job, attitude
+    ``like`` is a number of the graph with the state's precision, and ``window`` are the least and
+    the largest time at which rates, torques and forces are evaluated.
+    """
+
+    def __init__(
+        self, formulas: Formulas, like: Number, p: Vector, window: Vector, *,
+        small_angle: bool = False,
+    ) -> None:  # fmt: skip
+        job, structure = formulas.job, formulas.job.structure
+        self.formulas, self.job, self.p = formulas, job, p
+        self.graph, self.kind = like.graph, like.kind
+        is_short = small_angle and job.has_any_angle_form
+        self.attitude = job.attitude.short if is_short else job.attitude
         # time and parameters are of double precision, results of the state have its precision
-        graph.narrow, graph.many = self.kind == "single", not job.shared
-        graph.evaluations = job.method.rate_calls / max(1, len(job.method.stages))
-        p = graph.inputs("double", "p", formulas.parameters)
-        self._bind(p, graph.input(self.kind, "h"))
-
-    def _bind(self, p: Vector, like: Any) -> None:
-        structure = self.job.structure
-        self.p = p
+        self.graph.narrow, self.graph.many = self.kind == "single", not job.shared
         self.motion: EquationsOfMotion
-        if not structure.beside:
+        if not structure.coupled:
             self.motion = motion_of(structure.turning, self.attitude, p, like)
         else:
             self.motion = Coupled(self.attitude, structure, p, like)
-        if self.job.windowed:
-            self.motion.evaluate_between(*map(self.graph.time, self._window()))
-
-    def _window(self) -> Vector:
-        """The least and the largest time at which rates, torques and forces are evaluated."""
-        return tuple(self.graph.input("double", name) for name in ("low", "high"))
+        if job.windowed:
+            self.motion.evaluate_between(*map(self.graph.time, window))
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Inputs of the state's precision."""
@@ -322,7 +332,7 @@ class Scope:
             assert steps.body is not None
             stepped = steps.body(self.motion, t, h, x)
         else:
-            constant = is_constant(turning.law)
+            constant = turning.law.model.is_constant
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             stepped = chosen(self.motion, t, h, x)
@@ -338,30 +348,22 @@ class Scope:
         finally:
             self.graph.narrow = narrow
 
-    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
-        """The state from a given attitude and its auxiliary state."""
-        return self.motion.begin(q, auxiliary)
+    def _by_method(self, name: str, default: Vector, *args: Any) -> Vector:
+        """What a function of the method's record returns, or what holds without it."""
+        function = getattr(self.job.method.steps, name, None)
+        return default if function is None else tuple(function(self.motion, *args))
 
     def prepared(self, h: Any, x: Vector) -> Vector:
         """The numbers that the method prepares for a body."""
-        steps = self.job.method.steps
-        if steps is None or steps.prepare is None:
-            return ()
-        return tuple(steps.prepare(self.motion, h, x))
+        return self._by_method("prepare", (), h, x)
 
     def entered(self, t: Any, edge: Any, x: Vector, e: Vector) -> Vector:
         """The stepped variables from the state."""
-        steps = self.job.method.steps
-        if steps is None or steps.enter is None:
-            return x
-        return tuple(steps.enter(self.motion, t, 0.0, edge, x, e))
+        return self._by_method("enter", x, t, 0.0, edge, x, e)
 
     def left(self, t: Any, since: Any, edge: Any, x: Vector, e: Vector) -> Vector:
         """The state from the stepped variables."""
-        steps = self.job.method.steps
-        if steps is None or steps.leave is None:
-            return x
-        return tuple(steps.leave(self.motion, t, since, edge, x, e))
+        return self._by_method("leave", x, t, since, edge, x, e)
 
     def left_now(self) -> Vector:
         """The state from the stepped variables, after the given number of steps."""
@@ -378,17 +380,13 @@ class Scope:
 
         return self.motion.output(x, finish)
 
-    def invariants(self, x: Vector) -> Vector:
-        """The invariants of the motion."""
-        return self.motion.invariants(x)
-
     def monitored(self, h: Any, x: Vector) -> Vector:
         """The initial invariants; NaN if products underflow on which a rotation angle depends."""
-        return self._without_lost(h, x, self.invariants(x))
+        return self._without_lost(h, x, self.motion.invariants(x))
 
     def defined(self, h: Any, x: Vector) -> Vector:
         """The state at the begin; NaN if such products underflow and there are no invariants."""
-        return x if self.invariants(x) else self._without_lost(h, x, x)
+        return x if self.motion.invariants(x) else self._without_lost(h, x, x)
 
     def _without_lost(self, h: Any, x: Vector, values: Vector) -> Vector:
         """Values, or NaN if products underflow in the state x on which a rotation angle depends."""
@@ -403,27 +401,15 @@ class Scope:
 
 
 class GivenScope(Scope):
-    """A job's motion, with the numbers that a formula is called with, in the precision of x.
-
-    ``window`` are the least and the largest time at which rates, torques and forces are evaluated.
-    """
+    """A job's motion, with the numbers that a formula is called with, in the precision of x."""
 
     def __init__(
         self, formulas: Formulas, x: Vector, p: Vector, window: Vector = (), *,
         small_angle: bool = False,
     ) -> None:  # fmt: skip
-        job = formulas.job
         if len(p) != formulas.parameters:
             raise TypeError(f"p: found {len(p)} numbers; accepted: {formulas.parameters}")
-        self._given_window = window
-        short = small_angle and job.method.exponentials > 0
-        super().__init__(formulas, job.attitude.short if short else job.attitude, x[0].graph)
-        self.kind = x[0].kind
-        self.graph.narrow = self.kind == "single"
-        self._bind(tuple(map(Double, p)), x[0])
-
-    def _window(self) -> Vector:
-        return self._given_window
+        super().__init__(formulas, x[0], tuple(map(Double, p)), window, small_angle=small_angle)
 
     def at(self, t: Any) -> Any:
         """A time in the precision of the engine's times."""

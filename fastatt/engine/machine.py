@@ -27,7 +27,7 @@ from numba import from_dtype, types
 from fastatt._jit import loop_part, machine
 from fastatt.codegen.call import TYPES, call
 from fastatt.codegen.row_loops import load, store
-from fastatt.engine.tape import CLOCK, FORK, JOIN, RECORD, RESTORE, SAVE, START, STEPS
+from fastatt.engine.tape import RECORD, Action
 
 PI_SQUARED = math.pi**2
 
@@ -101,7 +101,7 @@ def repeat(p, s, tile, before):
     for i in range(p.angle + 1):
         for j in range(rows.shape[1]):
             rows[i, j], before[i, j] = before[i, j], rows[i, j]
-    call(p.any_angle, STEPS, (tile.rows, tile.wide, tile.time, p.tables), (s.first, s.end))
+    call(p.any_angle, Action.STEPS, (tile.rows, tile.wide, tile.time, p.tables), (s.first, s.end))
     for j in range(rows.shape[1]):
         if not before[p.angle, j] > PI_SQUARED:
             for i in range(p.angle + 1):
@@ -122,23 +122,22 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
         count = min(n - body, rows.shape[1])
         for k in range(tape.shape[0]):
             s = tape[k]
-            if s.action == CLOCK or s.action == JOIN:
-                time.begin, time.dt, time.low, time.high = s.begin, s.dt, s.low, s.high
-            elif s.action == START:
+            time.begin, time.dt, time.low, time.high = s.begin, s.dt, s.low, s.high
+            if s.action == Action.START:
                 load(bodies.q0, 0, body, rows, p.io)
                 load(bodies.y0, 0, body, rows, p.io + p.coordinates)
                 load(bodies.params, 0, body, tile.wide, 0)
-            elif s.action == RESTORE:
+            elif s.action == Action.RESTORE:
                 load(bodies.states, 0, body, rows, 0)
             if fork is not None:
-                if s.action == FORK:
+                if s.action == Action.FORK:
                     copy(rows, fork, p.fork)
-                elif s.action == JOIN:
+                elif s.action == Action.JOIN:
                     copy(fork, rows, p.fork)
             if before is not None:
-                if s.action == STEPS:
+                if s.action == Action.STEPS:
                     copy(rows, before, p.angle + 1)
-            if s.action < CLOCK:
+            if s.action < Action.FORK:
                 call(
                     p.small_angle,
                     s.action,
@@ -146,9 +145,9 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
                     (s.first, s.end),
                 )
             if before is not None:
-                if s.action == STEPS and not repeat(p, s, tile, before):
+                if s.action == Action.STEPS and not repeat(p, s, tile, before):
                     return number
-            if s.action == SAVE:
+            if s.action == Action.SAVE:
                 store(rows, p.io, bodies.saves, s.slot, body, count)
         store(rows, 0, bodies.states, 0, body, count)
     return last_tile
@@ -159,10 +158,10 @@ def tile_machine(kind: str, *, any_angle: bool, forks: bool) -> Callable[..., in
     """``perform`` for a precision; with any-angle steps, and with forks."""
     real, n = TYPES[kind], types.int64
     rows, wide = types.Array(real, 2, "C"), types.Array(types.float64, 2, "C")
-    given, to = (types.Array(real, 3, "A", readonly=x) for x in (True, False))
+    read, to = (types.Array(real, 3, "A", readonly=x) for x in (True, False))
     params = types.Array(types.float64, 3, "A", readonly=True)
     tape, program, time = (types.Array(from_dtype(x), 1, "C") for x in (RECORD, PROGRAM, TIME))
     tile = types.NamedTuple([rows, wide, time], Tile)
-    bodies = types.NamedTuple([given, given, params, to, to], Bodies)
+    bodies = types.NamedTuple([read, read, params, to, to], Bodies)
     copies = [rows if there else types.none for there in (any_angle, forks)]
     return machine(perform, n(tape, program, tile, *copies, bodies, n, n))

@@ -19,16 +19,14 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTi
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.engine import events, tape
+from fastatt.engine import events
 from fastatt.engine.job import WIDTH, Formulas, Job
 from fastatt.engine.machine import PROGRAM, TIME, Tile
 from fastatt.engine.status import DIAGNOSTICS, SAVED
+from fastatt.engine.tape import Action
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import Node
-
-#: arrays of a program; all but the last have rows
-ROWS, WIDE, NUMBERS = range(3)
 
 Array = NDArray[Any]
 
@@ -75,13 +73,15 @@ class Layout:
     def place(self, group: str, i: int = 0) -> Place:
         """The place of a number with a row of lanes."""
         if group == "y":
-            return Place(self.rows.first["io"] + i, ROWS)
+            return Place(self.rows.first["io"] + i)
         if group == "c":
             is_wide, k = self.constants[i]
-            return Place((self.wide if is_wide else self.rows).first["c"] + k, int(is_wide))
+            if is_wide:
+                return Place(self.wide.first["c"] + k, "wide")
+            return Place(self.rows.first["c"] + k)
         if group in self.wide.first:
-            return Place(self.wide.first[group] + i, WIDE)
-        return Place(self.rows.first[group] + i, ROWS)
+            return Place(self.wide.first[group] + i, "wide")
+        return Place(self.rows.first[group] + i)
 
     def places(self, **sizes: int) -> list[Place]:
         """The places of groups of numbers."""
@@ -98,11 +98,11 @@ class Program(TwoForms):
 
     def record(self, tables: int) -> Array:
         """What the machine has to know, with the address of the tables."""
-        rows, made = self.layout.rows.first, np.zeros(1, PROGRAM)
-        made["small_angle"], made["any_angle"], made["tables"] = self.entry, self.any_angle, tables
-        made["fork"], made["angle"], made["io"] = rows["middle"], rows["angle"], rows["io"]
-        made["coordinates"] = self.formulas.coordinates
-        return made
+        rows, record = self.layout.rows.first, np.zeros(1, PROGRAM)
+        record["small_angle"], record["any_angle"] = self.entry, self.any_angle
+        record["tables"], record["coordinates"] = tables, self.formulas.coordinates
+        record["fork"], record["angle"], record["io"] = rows["middle"], rows["angle"], rows["io"]
+        return record
 
     def _new_memory(self) -> tuple[Tile, Array, Array, Array]:
         """A thread's tile with its numbers, and two copies of rows."""
@@ -123,7 +123,8 @@ class Program(TwoForms):
         lanes = processor().lanes(job.kind)
         return LaneProgram(
             "\n".join([*self._text(formulas, lanes), ""]), formulas,
-            Shape(job.kind, job.width, lanes), (job.kind, "double", "double"),
+            Shape(job.kind, job.width, lanes),
+            {"rows": job.kind, "wide": "double", "numbers": "double"},
             self.formulas.resources,
         ).compiled()  # fmt: skip
 
@@ -146,12 +147,12 @@ class Program(TwoForms):
             return formulas
         if forms.constant_kinds:
             add("constants", forms.constants, c=len(forms.constant_kinds))
-        add("begin", forms.begin, "moment", **sizes)
+        add("start", forms.begin, "moment", **sizes)
         add("save", forms.save, "moment", io=forms.handed_out + 1, largest=len(SAVED))
         add("project", forms.project, x=x, largest=1)
         add("leave", forms.leave, "moment", x=x)
         add("enter", forms.enter, "moment", x=x, e=e)
-        add("update", forms.update, "moment", x=x)
+        add("jump", forms.update, "moment", x=x)
         add("status", forms.status, status=1)
         if job.events:
             add("middle", events.middle(forms.scope()), "moment", middle=len(job.events))
@@ -174,8 +175,8 @@ class Program(TwoForms):
         calls, rest = without_shared_calls(flat, is_shared)
         clock = "stage" if job.method.stages else "step"
         places = self.layout.places(x=self.formulas.size, angle=1)
-        made = self._formula(rest, places, clock)
-        formulas = {"step": made._replace(largest=self.formulas.size)}
+        step = self._formula(rest, places, clock)
+        formulas = {"step": step._replace(largest=self.formulas.size)}
         if calls is not None:
             called = self.layout.places(called=len(calls.results))
             formulas["step_calls"] = self._formula(calls, called, clock)._replace(lanes=1)
@@ -193,29 +194,29 @@ class Program(TwoForms):
         graph = Graph()
         n, dt, begin = (graph.input("double", name) for name in ("n", "dt", "begin"))
         steps: Any = n
-        found = {"h": dt, "k": dt}
+        spans = {"h": dt, "k": dt}
         if which == "stage":
-            h, k, at = graph.inputs("double", "stage", 3)
-            steps = steps + at
-            found = {"h": h * dt, "k": k * dt}
+            h, k, ahead = graph.inputs("double", "stage", 3)
+            steps = steps + ahead
+            spans = {"h": h * dt, "k": k * dt}
         since = steps * dt
         if which == "moment":
-            found = {"h": dt, "edge": graph.input("double", "share") * dt}
+            spans = {"h": dt, "edge": graph.input("double", "share") * dt}
         # as a separate result, the time interval is rounded before it is added
         exact = {"whole": since, "t": begin + since}
-        found["since"] = since
-        kinds = ["double"] * len(exact) + [self.job.kind] * len(found)
-        names = [(name,) for name in (*exact, *found)]
-        return StepTimes(Flat(graph, [*exact.values(), *found.values()], kinds), names)
+        spans["since"] = since
+        kinds = ["double"] * len(exact) + [self.job.kind] * len(spans)
+        names = [(name,) for name in (*exact, *spans)]
+        return StepTimes(Flat(graph, [*exact.values(), *spans.values()], kinds), names)
 
     def _place(self, group: str, i: int = 0) -> Place:
         """The place of an input."""
         job, numbers = self.job, self.layout.numbers.first
         if group == "stage":
-            return Place(numbers["stage"] + i, NUMBERS, "indexed")
+            return Place(numbers["stage"] + i, "numbers", "indexed")
         is_own = group == "p" and not (job.shared or i in job.alike)
         if group in numbers and not is_own:
-            return Place(numbers[group] + i, NUMBERS, "shared")
+            return Place(numbers[group] + i, "numbers", "shared")
         place = self.layout.place(group, i)
         if group == "called":
             return Place(place.row * job.width, place.array, "computed")
@@ -229,16 +230,11 @@ class Program(TwoForms):
             return f"{name}(rows, wide, numbers, whole, {j}, {j}, {i}{steps})"
 
         yield "def run(part, rows, wide, numbers, whole, first, last):"
-        parts = (
-            (tape.START, "constants"), (tape.START, "begin"), (tape.SAVE, "save"),
-            (tape.PROJECT, "project"), (tape.LEAVE, "leave"), (tape.ENTER, "enter"),
-            (tape.STATUS, "status"), (tape.JUMP, "update"), (tape.LOOK, "look"),
-            (tape.MIDDLE, "middle"),
-        )  # fmt: skip
+        parts = [(Action.START, "constants"), *((x, x.name.lower()) for x in Action)]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
             # one loop for all parts, since Numba compiles a condition faster than a loop
-            yield f"    if part != {tape.STEPS}:"
+            yield f"    if part != {Action.STEPS}:"
             yield f"        {each}"
             yield from (f"            if part == {part}: {call(name)}" for part, name in there)
             yield "        return"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,8 @@ from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.pool import Pool
 from fastatt.engine.program import Program
 from fastatt.engine.search import Search
-from fastatt.engine.tape import SAVE, Piece, Steps, Tape
+from fastatt.engine.tape import Action, Piece, Steps, Tape
+from fastatt.scene.models import Packed
 
 Array = NDArray[Any]
 
@@ -29,24 +30,15 @@ class Results(NamedTuple):
     status: NDArray[np.uint8]
     event_times: NDArray[np.float64]
 
-    @classmethod
-    def empty(cls, saves: int, bodies: int, width: int, kind: Any, events: int = 0) -> Results:
-        """Arrays for a number of saves and bodies, allocated but not initialised."""
-        return cls(
-            np.empty((saves, bodies, width + 1), kind),
-            np.empty(bodies, np.uint8),
-            np.full((bodies, events), np.nan),
-        )
-
     def of_bodies(self, rows: Any) -> Results:
-        """Those of some bodies: views for a slice, new arrays for an array of indices."""
-        if isinstance(rows, slice):
-            return Results(self.saves[:, rows], self.status[rows], self.event_times[rows])
-        (saves, _, width), events = self.saves.shape, self.event_times.shape[1]
-        return Results.empty(saves, rows.size, width - 1, self.saves.dtype, events)
+        """Those of some bodies: views for a slice, copies for an array of indices."""
+        saves = self.saves[:, rows] if isinstance(rows, slice) else self.saves.take(rows, axis=1)
+        return Results(saves, self.status[rows], self.event_times[rows])
 
     def put(self, rows: Any, other: Results) -> None:
-        """Write the results of some bodies."""
+        """Write the results of some bodies, unless they are views."""
+        if isinstance(rows, slice):
+            return
         self.saves[:, rows], self.status[rows] = other.saves, other.status
         self.event_times[rows] = other.event_times
 
@@ -59,28 +51,26 @@ class Setup:
     """
 
     def __init__(
-        self, program: Program, resources: Mapping[Any, Any], limits: Sequence[float],
+        self, program: Program, packed: Packed, limits: Sequence[float],
         params: NDArray[np.float64], flags: NDArray[np.uint8],
     ) -> None:  # fmt: skip
         self.program, self.params, self.flags = program, params, flags
-        self.tables = {x: array for (kind, x), array in resources.items() if kind == "table"}
+        self.tables = packed.tables
         job, formulas = program.job, program.formulas
         self._held = [
-            x.address if kind == "function" else resources[kind, x]
+            x.address if kind == "function" else packed.resources[kind, x]
             for kind, x in formulas.resources
         ]
-        at = (x if isinstance(x, int) else address_of(x) for x in self._held)
+        addresses = (x if isinstance(x, int) else address_of(x) for x in self._held)
         stages = np.array(job.method.stages, dtype=np.float64)
         # the number of stages comes after the resources
-        self._whole = np.array([*at, len(stages)], dtype=np.int64)
+        self._whole = np.array([*addresses, len(stages)], dtype=np.int64)
         self.record = program.record(address_of(self._whole))
-        #: the stepped variables are this share of a step ahead
-        self.share = 0.5 * float(stages[-1, 1]) if len(stages) else 0.0
         numbers = program.layout.numbers
         self.numbers = np.concatenate(
             [np.zeros(numbers.first["limit"]), limits, params[0], stages.ravel()]
         )
-        self.numbers[numbers.first["share"]] = self.share
+        self.numbers[numbers.first["share"]] = formulas.share
 
 
 class Run:
@@ -101,7 +91,7 @@ class Run:
 
         params = setup.params if not program.job.shared else setup.params[:1, :0]
         self._setup, self.steps, self._t0 = setup, steps, t0
-        self._given = tuple(own(x)[None] for x in (*start, params))
+        self._inputs = tuple(own(x)[None] for x in (*start, params))
         self._flags, self.results = own(setup.flags), results
         n, kept = results.status.size, program.layout.kept
         self.states = np.empty((n, sum(kept.values())), DTYPES[program.job.kind])
@@ -133,7 +123,7 @@ class Run:
             self.search.stopped[:], self.search.final[:] = kept[2:]
 
     def events(self) -> list[Array]:
-        """Copies of what is kept of events: states, times, when bodies stopped, values since."""
+        """Copies of the arrays of events: states, times, when bodies stopped, values since."""
         if self.search is None:
             return []
         kept = self.results.event_times, self.search.stopped, self.search.final
@@ -143,10 +133,10 @@ class Run:
     def without_events(self) -> Array:
         """The columns of states but for those of events."""
         layout = self._setup.program.layout
-        found = np.ones(self.states.shape[1], bool)
+        columns = np.ones(self.states.shape[1], bool)
         for group in events.sizes((), 0, 0):
-            found[layout.rows.columns(group)] = False
-        return found
+            columns[layout.rows.columns(group)] = False
+        return columns
 
     def advance(self, piece: Piece, pool: Pool | None) -> None:
         """Perform a piece of the run."""
@@ -180,17 +170,17 @@ class Run:
     def perform(self, tape: Tape, rows: Any, first: int, last: int) -> None:
         """Perform a tape on tiles of some bodies; several threads may do so."""
         program, record, saves = self._setup.program, self._setup.record, self.results.saves
-        states, given = self.states, self._given
+        states, inputs = self.states, self._inputs
         is_some = not isinstance(rows, slice)
         if is_some:
             states = states[rows]
             saves = np.empty((len(saves), rows.size, saves.shape[2]), saves.dtype)
-            given = tuple(x if x.shape[1] == 1 else x[:, rows] for x in given)
+            inputs = tuple(x if x.shape[1] == 1 else x[:, rows] for x in inputs)
         tile, numbers, *copies = program.memory()
         numbers[:] = self._setup.numbers
         wanted = program.job.has_any_angle_form, self.steps.forks
         before, fork = (x if there else None for x, there in zip(copies, wanted, strict=True))
-        q0, y0, params = given
+        q0, y0, params = inputs
         bodies = Bodies(q0, y0, params, states[None], saves)
         while first < last:
             first = self._machine(tape, record, tile, before, fork, bodies, first, last)
@@ -199,5 +189,5 @@ class Run:
                 record["any_angle"] = program.any_angle
         if is_some:
             self.states[rows] = states
-            slots = np.unique(tape["slot"][tape["action"] == SAVE])
+            slots = np.unique(tape["slot"][tape["action"] == Action.SAVE])
             self.results.saves[slots[:, None], rows] = saves[slots]

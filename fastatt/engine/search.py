@@ -13,8 +13,9 @@ from fastatt.codegen.rows import RowFunction
 from fastatt.engine.events import EVENT, locate, values
 from fastatt.engine.job import WIDTH, GivenScope, Job
 from fastatt.engine.program import Program
-from fastatt.engine.tape import CLOCK, JOIN, SAVE, Legs, Tape
+from fastatt.engine.tape import Action, Legs, Tape
 from fastatt.tracing.formulas import Vector
+from fastatt.tracing.graph import choose
 
 if TYPE_CHECKING:
     from fastatt.engine.run import Results, Setup
@@ -51,7 +52,7 @@ class Search:
         """
         was_stopped = ~np.isnan(self.stopped)
         ends = np.full(self.times.shape, np.nan)
-        for i, watch in enumerate(self._watches):
+        for i in range(len(self._watches)):
             event = self._program.layout.rows.columns("event").start + i * len(EVENT)
             mark, skip, end = (event + EVENT.index(name) for name in ("mark", "skip", "end"))
             is_new = (states[:, mark] > 0.5) & np.isnan(self.times[:, i]) & ~was_stopped
@@ -63,7 +64,7 @@ class Search:
             missed = rows[np.isnan(self.times[rows, i])]
             begun[missed, skip : skip + 2] = states[missed, end : end + 2]
             ends[missed, i] = states[missed, end]
-            if watch.terminal:
+            if final is not None:
                 first = ~(self._sign * (self.stopped[rows] - self.times[rows, i]) <= 0.0)
                 first &= ~np.isnan(self.times[rows, i])
                 self.stopped[rows[first]] = self.times[rows[first], i]
@@ -92,10 +93,10 @@ class Search:
 
     def _crossings(
         self, i: int, event: int, rows: Array, step: dict[str, Array], states: Array
-    ) -> tuple[Array, Array]:
-        """The times at which the event i of bodies crosses zero in a step, and what is saved then.
+    ) -> tuple[Array, Array | None]:
+        """The times at which the event i of bodies crosses zero in a step; NaN where it does not.
 
-        NaN where it does not.
+        Next come the values that are saved then, if it is terminal.
         """
         layout, job = self._program.layout, self._program.job
         forms = self._program.formulas
@@ -108,62 +109,62 @@ class Search:
         t = step["begin"] + since
         clock = np.stack([t, since, *(step[name] for name in ("dt", "low", "high", "dt"))], axis=1)
 
-        def at(share: Array, some: Any = slice(None)) -> tuple[Array, ...]:
+        def stepped(share: Array, some: Any = slice(None)) -> tuple[Array, ...]:
             clock[some, -1] = share * step["dt"][some]
-            given = (y if len(y) == 1 else y[some] for y in (x, p, e, clock))
+            inputs = (y if len(y) == 1 else y[some] for y in (x, p, e, clock))
             with np.errstate(all="ignore"):
-                return after(*given, tables=self._tables)
+                return after(*inputs, tables=self._tables)
 
         before, past = states[rows, event : event + 2].astype(np.float64).T
         latest = np.abs(step["begin"] / step["dt"] + step["taken"])
         least = np.maximum(_LEAST[job.kind], latest * 2.0**-52)
         with np.errstate(all="ignore"):
             share = locate(
-                lambda *of: at(*of)[1][:, i], before, past, self._watches[i].direction, least
+                lambda *of: stepped(*of)[0][:, i], before, past, self._watches[i].direction, least
             )
         ends = step["begin"] + (step["taken"] + 1.0) * step["dt"]
         times = np.where(share == 1.0, ends, t + share * step["dt"])
-        _, _, begun, ended = at(np.where(np.isnan(share), 1.0, share))
-        return times, np.where((share == 0.0)[:, None], begun, ended)
+        if not self._watches[i].terminal:
+            return times, None
+        return times, stepped(np.where(np.isnan(share), 1.0, share))[1]
 
     def save(self, saves: Array, tape: Tape) -> None:
         """Replace the saves of bodies that have stopped by their final values."""
         if np.isnan(self.stopped).all():
             return
-        clock, past = tape[0], self._sign * self.stopped
-        for record in tape:
-            if record["action"] in (CLOCK, JOIN):
-                clock = record
-            elif record["action"] == SAVE:
-                time = clock["begin"] + record["first"] * clock["dt"]
-                late = np.flatnonzero(self._sign * time >= past)
-                saves[record["slot"], late] = self.final[late]
+        past = self._sign * self.stopped
+        for record in tape[tape["action"] == Action.SAVE]:
+            time = record["begin"] + record["first"] * record["dt"]
+            late = np.flatnonzero(self._sign * time >= past)
+            saves[record["slot"], late] = self.final[late]
 
 
 @lru_cache(maxsize=64)
 def _after(job: Job) -> RowFunction:
-    """The values of the events before and after a step of any size, and what would be saved.
+    """The values of the events after a step of any size, and what an event that stops saves.
 
     A row is a body with its stepped variables after some steps of its clock: the time, that since
     the clock began, the step size, the window, and the size of the step.
     """
-    forms = job.formulas
+    forms, stops = job.formulas, any(watch.terminal for watch in job.events)
     stages = job.method.stages or ((1.0, 1.0, 0.0),)
-    share = 0.5 * float(stages[-1][1]) if job.method.stages else 0.0
 
     def after(x: Vector, p: Vector, e: Vector, clock: Vector) -> Any:
         t, since, dt, low, high, h = clock
         scope = GivenScope(forms, x, p, (low, high))
         t = scope.at(t)
-        begun = scope.left(t, scope.span(since), scope.span(share * dt), x, e)
+        begun = scope.left(t, scope.span(since), scope.span(forms.share * dt), x, e)
         extras = scope.prepared(scope.span(h), begun)
-        y = scope.entered(t, scope.span(share * h), begun, extras)
-        for first, other, at in stages:
-            y, _ = scope.step(t + at * h, scope.span(first * h), scope.span(other * h), y, extras)
-        ended = scope.left(t + h, scope.span(h), scope.span(share * h), y, extras)
+        y = scope.entered(t, scope.span(forms.share * h), begun, extras)
+        for first, other, node in stages:
+            y, _ = scope.step(t + node * h, scope.span(first * h), scope.span(other * h), y, extras)
+        ended = scope.left(t + h, scope.span(h), scope.span(forms.share * h), y, extras)
+        reached = tuple(values(scope, t + h, ended))
+        if not stops:
+            return reached
         saved = [(*out, error) for out, error in (scope.output(begun), scope.output(ended))]
-        return tuple(values(scope, t, begun)), tuple(values(scope, t + h, ended)), *saved
+        return reached, tuple(choose(h == 0.0, y, z) for y, z in zip(*saved, strict=True))
 
-    n, out = len(job.events), forms.handed_out + 1
+    results = (len(job.events), *[forms.handed_out + 1] * stops)
     inputs = {"x": forms.size, "p": forms.parameters, "e": forms.extras, "clock": 6}
-    return RowFunction(after, inputs, (n, n, out, out))
+    return RowFunction(after, inputs, results)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable
 from enum import IntFlag
 from functools import reduce
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastatt.tracing.formulas import Vector, as_like
 from fastatt.tracing.graph import Double, apply, both, choose, either, negated
@@ -37,9 +38,10 @@ class Status(IntFlag):
     NOT_CONVERGED : Status
         16: the iteration of an implicit step did not converge.
     NORM_LOST : Status
-        32: at a save or a projection, the norm error of the quaternion or the orthogonality error
-        of the matrix was above 1e-3, in float32 above 1e-2, before it was projected. Coordinates
-        (Euler angles, rotation vectors, modified Rodrigues parameters) have no such flag.
+        32: before the state was renormalised, at a save or between saves, the norm error of the
+        quaternion or the orthogonality error of the matrix was above 1e-3, in float32 above 1e-2;
+        with ``compensated=True`` the errors that renormalising removes are added up. Coordinates
+        (Euler angles, modified Rodrigues parameters) have no such flag.
     UNFINISHED : Status
         64: the run was interrupted before the end of this body.
 
@@ -60,33 +62,25 @@ class Status(IntFlag):
     UNFINISHED = 64  #: the run was interrupted before its end
 
 
-class Judged(Protocol):
-    """The properties of a run on which the bounds of its diagnostics depend."""
-
-    @property
-    def limit(self) -> float:
-        """The largest rotation angle of a step for which the method is trustworthy, rad."""
-
-    @property
-    def kind(self) -> np.dtype[Any]:
-        """Precision of the state."""
-
-    @property
-    def attitude(self) -> Any:
-        """How the attitude is represented."""
+def count_flags(status: NDArray[np.uint8]) -> dict[str, int]:
+    """The name of each flag that bodies have, with their number."""
+    counts = {flag.name or "": int(np.count_nonzero(status & flag)) for flag in Status if flag}
+    return {name: count for name, count in counts.items() if count}
 
 
 class Diagnostic(NamedTuple):
     """A quantity of which a run keeps each body's largest value, and the flag beyond its bound.
 
     The first is the square of a step's rotation angle, which the step computes. The others are
-    those of ``Formulas.measures`` at each save, by their names. ``infinite`` is the flag of an
+    those of ``Formulas.save``. ``bound`` takes a run's plan: its ``limit`` (the largest rotation
+    angle of a step for which the method is trustworthy, rad), ``kind`` (the precision) and
+    ``attitude``. ``infinite`` is the flag of an
     infinite value of a method that iterates; ``at_poles`` is the flag for coordinates with poles,
     if it is another one.
     """
 
     name: str
-    bound: Callable[[Judged], float]
+    bound: Callable[[Any], float]
     exceeded: Status
     infinite: Status
     at_poles: Status | None = None
@@ -96,7 +90,7 @@ class Diagnostic(NamedTuple):
         return self.at_poles if self.at_poles and attitude.has_poles else self.exceeded
 
 
-def _norm_bound(run: Judged) -> float:
+def _norm_bound(run: Any) -> float:
     # at 1e-3 RK4's attitude is wrong by more than that
     bound = 1e-3 if run.kind == np.float64 else 1e-2
     return math.inf if run.attitude.restore is None else bound
@@ -148,7 +142,7 @@ def flags(x: Vector, values: Vector, limits: Vector, attitude: Any, *, iterates:
     The first of the diagnostics is the square of an angle.
     """
     finite = reduce(both, [abs(each) < math.inf for each in x])
-    found = choose(finite, 0.0, float(Status.NON_FINITE))
+    total = choose(finite, 0.0, float(Status.NON_FINITE))
     for k, (of, value, limit) in enumerate(zip(DIAGNOSTICS, values, limits, strict=True)):
         exceeded, most = float(of.flag(attitude)), Double(value)
         infinite = float(of.infinite) if iterates else exceeded
@@ -157,5 +151,5 @@ def flags(x: Vector, values: Vector, limits: Vector, attitude: Any, *, iterates:
             flag = choose(finite, flag, 0.0)
         if infinite != exceeded:
             flag = choose(value == math.inf, choose(finite, infinite, 0.0), flag)
-        found = found + flag
-    return found
+        total = total + flag
+    return total

@@ -1,53 +1,75 @@
 """A run as a tape: all decisions about its steps, made by NumPy alone, as an array of records.
 
-``engine.machine`` performs a tape on each tile of bodies. A record calls a part of the program
-(``START`` to ``MIDDLE``) after ``first`` steps of the clock, or changes the clock, or copies the
-tile. A *clock* is a step size and a time of origin: after n steps of it the time is
-``begin + n dt``, and rates, torques and forces are evaluated from ``low`` to ``high`` only. All
-bodies of a tape share it.
+``engine.machine`` performs a tape on each tile of bodies. A record is an action, its clock, and the
+number of steps of this clock after which the action happens (``first``). It calls a part of the
+program (``START`` to ``MIDDLE``), or copies a tile. A *clock* is a step size, a time of origin and
+a window: after n steps of it the time is ``begin + n dt``, and rates, torques and forces are
+evaluated from ``low`` to ``high`` only. All bodies of a tape share it.
 
-A breakpoint within a step is ``LEAVE, CLOCK, [JUMP], ENTER``, twice: the step is taken in two
-shorter ones. A save within a step is made on a copy: ``FORK, LEAVE, CLOCK, ENTER, STEPS, SAVE,
-JOIN``. Whole steps begin at multiples of the step size from the start of the run, whatever the
-breakpoints and the times of saves.
+A *leg* is a stretch of steps with one clock. Breakpoints divide a run into legs. One on a whole
+step changes only the window. One within a step divides that step into two legs of one shorter step
+each, and m breakpoints divide it into m + 1 of them; whole steps then go on where they would be
+without breakpoints, at multiples of the step size from the start of the run. Where two legs meet,
+the order is
+
+1. ``SAVE`` at this time, with the old clock;
+2. ``LEAVE`` with the old clock, ``JUMP`` and ``ENTER`` with the new one. ``LEAVE`` and ``ENTER``
+   are there only for methods whose stepped variables depend on the clock, and ``JUMP`` only where a
+   sampled controller updates its states;
+3. saves within the next step, each on a copy of the tile: ``FORK, [LEAVE, ENTER], STEPS, SAVE,
+   JOIN``, with another clock from ``ENTER`` or ``STEPS`` on;
+4. with events, ``LOOK``, and ``MIDDLE`` on a copy after half of the step: a parabola through three
+   values tells whether an event may cross zero twice, and the values before belong to other steps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from enum import IntEnum
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: parts of a program: the state from initial values; steps [first, end), at most a block; values of
-#: a save, which go to a slot; the projection; the state from the stepped variables, and back; the
-#: status; the jump of states at a sample time; the values of events, and those within a step
-START, STEPS, SAVE, PROJECT, LEAVE, ENTER, STATUS, JUMP, LOOK, MIDDLE = range(10)
-#: another clock; a copy of the tile; back to that copy, with its clock; what an earlier tape left
-CLOCK, FORK, JOIN, RESTORE = range(10, 14)
-_NOTHING = -1
-_NONE = np.zeros(0, np.int64)
 
-TIMES = ("dt", "begin", "low", "high")
+class Action(IntEnum):
+    """What a record does: it calls a part of the program, or, from ``FORK`` on, copies a tile."""
+
+    START = 0  #: the state from initial values
+    STEPS = 1  #: steps [first, end), at most a block
+    SAVE = 2  #: the values of a save, which go to a slot
+    PROJECT = 3  #: the projection of the state
+    LEAVE = 4  #: the state from the stepped variables
+    ENTER = 5  #: the stepped variables from the state
+    STATUS = 6  #: the flags of each body
+    JUMP = 7  #: the states of a sampled controller after a sample time
+    LOOK = 8  #: the values of events where a leg begins
+    MIDDLE = 9  #: the values of events half a step later
+    FORK = 10  #: copies the tile
+    JOIN = 11  #: takes the copy back, but for diagnostics and the values of ``MIDDLE``
+    RESTORE = 12  #: the tile as an earlier tape left it
+
+
+#: the fields of a clock
+CLOCK = ("dt", "begin", "low", "high")
 RECORD = np.dtype(
     [(name, np.int64) for name in ("action", "first", "end", "slot")]
-    + [(name, np.float64) for name in TIMES]
+    + [(name, np.float64) for name in CLOCK]
 )
-#: steps [first, end) with one clock, which begins ``begin`` s after the start of the run; how many
-#: whole steps have been taken when they end, -1 within a step; whether states jump before them
+_BYTES = np.dtype((np.void, RECORD.itemsize))
+#: a leg: its clock, with times since the start of the run; its steps [first, end), counted from
+#: ``begin``; how many whole steps the run has taken when it ends, -1 within a step; whether states
+#: jump before it
 LEG = np.dtype(
-    [(name, np.float64) for name in TIMES]
+    [(name, np.float64) for name in CLOCK]
     + [(name, np.int64) for name in ("first", "end", "whole", "jumps")]
 )
 #: steps of a block, after which rotation angles are checked
 BLOCK = 256
 #: legs and saves of a piece of a tape, at most
-_LEGS, _SAVES = 1 << 11, 1 << 10
-# stops of a run of one leg, which a loop in Python finds faster than NumPy
-_FEW = 32
-# records of the tape of a run in one piece that is kept for the next run, at most
-_KEPT = 1 << 15
+_LEGS, _SAVES = 1 << 13, 1 << 12
+# records of the tapes of a run that are kept for the next run, at most
+_KEPT = 1 << 16
 
 Tape = NDArray[Any]
 Legs = NDArray[Any]
@@ -86,33 +108,37 @@ class Saves(NamedTuple):
 
 def on_grid(since: Any, dt: Any, slack: Any) -> tuple[Any, Any]:
     """(whole steps to times, the rest in s), where rounding leaves no rest."""
-    count = np.floor((since + np.copysign(slack, dt)) / dt)
+    count = np.floor(since / dt + slack / np.abs(dt))
     rest = since - count * dt
     return count.astype(np.int64), np.where(np.abs(rest) <= slack, 0.0, rest)
 
 
 def legs_of(dt: float, n_steps: int, breaks: Breaks = UNBROKEN, end: float | None = None) -> Legs:
-    """The legs of a run of ``n_steps``; ``end`` is its duration, s, if its last step is shorter."""
+    """The legs of a run of ``n_steps``; ``end`` is its duration, s, if its last step is shorter.
+
+    An example: steps of 0.5 s and a breakpoint at 0.7 s give legs with the step sizes 0.5, 0.2, 0.3
+    and 0.5 s.
+    """
     counts, rests = on_grid(breaks.since[1:], dt, breaks.slack[1:])
     last = (n_steps, 0.0) if end is None else (n_steps - 1, end - (n_steps - 1) * dt)
     ends = [*zip(counts.tolist(), rests.tolist(), strict=True), last]
-    until = [*breaks.since[1:].tolist(), n_steps * dt if end is None else end]
+    times = [*breaks.since[1:].tolist(), n_steps * dt if end is None else end]
     windows = zip(breaks.low.tolist(), breaks.high.tolist(), breaks.jumps.tolist(), strict=True)
     legs: list[tuple[float, ...]] = []
     n, reached = 0, None  # whole steps so far; the time reached within the next one, if any
-    for (count, rest), to, (*window, jumps) in zip(ends, until, windows, strict=True):
-        if reached is not None and count > n:
+    for (count, rest), time, (*window, jumps) in zip(ends, times, windows, strict=True):
+        if reached is not None and count > n:  # the rest of the divided step
             n += 1
             legs.append((n * dt - reached, reached, *window, 0, 1, n, jumps))
             reached, jumps = None, False  # noqa: PLW2901  # they jump once
-        if count > n or n_steps == 0:
+        if count > n or n_steps == 0:  # whole steps
             legs.append((dt, 0.0, *window, n, count, count, jumps))
             n, jumps = count, False  # noqa: PLW2901
-        if rest:
-            since = n * dt if reached is None else reached
-            legs.append((to - since, since, *window, 0, 1, -1, jumps))
-            reached = to
-    if reached is not None:
+        if rest:  # from the last whole step or breakpoint to this one
+            begin = n * dt if reached is None else reached
+            legs.append((time - begin, begin, *window, 0, 1, -1, jumps))
+            reached = time
+    if reached is not None:  # a shorter last step counts as a whole one
         legs[-1] = (*legs[-1][:6], n + 1, legs[-1][7])
     return np.array(legs, LEG)
 
@@ -131,56 +157,60 @@ class Piece(NamedTuple):
 
 
 class Steps:
-    """The steps of a run, with its saves, as positions: numbers of steps, shorter ones included.
+    """The steps and saves of a run; a position is a number of steps, shorter ones included.
 
     ``every`` counts the steps between two projections, 0 for none; ``slots`` are the places of the
-    saves in the output. The run goes on from an earlier one, if it ``resumes``, after ``done``
-    whole steps. If events are ``watched``, the steps after each breakpoint are looked at first, and
-    those where the run begins, if it is ``new`` to its events.
+    saves in the output. ``regrids`` says that the stepped variables depend on the clock. The run
+    goes on from an earlier one, if it ``resumes``, after ``done`` whole steps. If events are
+    ``watched``, each leg begins with ``LOOK`` and ``MIDDLE``, and so does the run, if it is ``new``
+    to its events.
     """
 
     def __init__(
         self, legs: Legs, saves: Saves, *, slots: Whole | None = None, every: int = 0,
-        block: int = BLOCK, resumes: bool = False, done: int = 0, watched: bool = False,
-        new: bool = True,
+        block: int = BLOCK, regrids: bool = True, resumes: bool = False, done: int = 0,
+        watched: bool = False, new: bool = True,
     ) -> None:  # fmt: skip
-        self.legs, self._every, self._block = legs, every, block
+        self.legs, self._every, self._block, self._regrids = legs, every, block, regrids
         self._resumes, self._watched, self._new = resumes, watched, new
         lengths = legs["end"] - legs["first"]
-        self._ends = np.cumsum(lengths)
-        self._starts = self._ends - lengths
-        self.length = int(self._ends[-1])
-        self.first = self._position(done)
+        self._stops = np.cumsum(lengths)
+        self._starts = self._stops - lengths
+        # whole steps until the end of each leg
+        self._whole = np.maximum.accumulate(legs["whole"])
+        self.length = int(self._stops[-1])
+        self.first = int(self._after(done)) if done else 0
         self._slots = np.arange(saves.since.size) if slots is None else slots
         until = np.abs(legs["begin"] + legs["end"] * legs["dt"])
-        leg = np.searchsorted(until, np.abs(saves.since) - saves.slack)
-        leg = self._leg_of_save = np.minimum(leg, len(legs) - 1)
+        leg = np.minimum(np.searchsorted(until, np.abs(saves.since) - saves.slack), len(legs) - 1)
         since = saves.since - legs["begin"][leg]
-        self._counts, self._rests = on_grid(since, legs["dt"][leg], saves.slack)
-        positions = self._starts[leg] + self._counts - legs["first"][leg]
+        counts, self._rests = on_grid(since, legs["dt"][leg], saves.slack)
+        positions = self._starts[leg] + counts - legs["first"][leg]
         #: twice the position of a save, and one more within the next step
         self._keys = 2 * np.maximum(positions, self.first) + (self._rests != 0.0)
-        # the piece of a run that is one, in times since the start
-        self._only: Piece | None = None
+        # pieces by their first and last position, in times since the start
+        self._pieces: dict[tuple[int, int], Piece] = {}
         #: whether a tape copies tiles
         self.forks = watched or bool(self._rests.any())
 
-    def _position(self, whole: int) -> int:
-        """The position after a number of whole steps."""
-        if whole == 0:
-            return 0
-        leg = int(np.flatnonzero(self.legs["whole"] >= whole)[0])
-        return int(self._ends[leg] - self.legs["whole"][leg] + whole)
+    def _after(self, whole: Any) -> Any:
+        """The positions after numbers of whole steps, above 0."""
+        leg = np.searchsorted(self._whole, whole)
+        return self._stops[leg] - self._whole[leg] + whole
 
-    def _whole_at(self, position: int) -> int:
-        """The number of whole steps at a position, -1 within one."""
-        leg = int(np.searchsorted(self._ends, position))
-        whole = int(self.legs["whole"][leg])
-        return whole if whole < 0 else whole - int(self._ends[leg]) + position
+    def _whole_until(self, position: int) -> tuple[int, bool]:
+        """The whole steps until a position, and whether it is within one."""
+        leg = int(np.searchsorted(self._stops, position))
+        whole = int(self._whole[leg] - self._stops[leg]) + position
+        return max(whole, 0), int(self.legs["whole"][leg]) < 0
+
+    def _saves_until(self, position: int) -> int:
+        """How many saves are made until a position."""
+        return int(np.searchsorted(self._keys, 2 * position, "right"))
 
     def begun(self, t0: float) -> Tape:
         """A tape that begins a run from time ``t0`` and does nothing else."""
-        return _from(t0, _joined([_clock(self.legs[:1]), _records(START)]))
+        return _from(t0, self._records((Action.START,), np.zeros(1, np.int64))[:, 0])
 
     def pieces(
         self, t0: float, pace: Callable[[], int], stops: Sequence[int] = ()
@@ -190,166 +220,137 @@ class Steps:
         A piece ends after each of the saves whose numbers are in ``stops``.
         """
         left = [(int(self._keys[i]) + 1) // 2 for i in reversed(stops)]
-        at = self.first
-        if self._only is not None and not left and at + pace() >= self.length:
-            yield self._only._replace(tape=_from(t0, self._only.tape))
-            return
+        position = self.first
         while True:
-            while left and left[-1] <= at:
+            while left and left[-1] <= position:
                 left.pop()
-            end = min([self._end(at, pace()), *left[-1:]])
-            piece = Piece(self._tape(at, end), end, self._whole_at(end), self._saves_until(end))
-            if at == self.first and end == self.length and piece.tape.size <= _KEPT:
-                self._only = piece
+            end = min([self._end(position, pace()), *left[-1:]])
+            piece = self._piece(position, end)
             yield piece._replace(tape=_from(t0, piece.tape))
             if end == self.length:
                 return
-            at = end
+            position = end
 
-    def _end(self, at: int, steps: int) -> int:
+    def _end(self, position: int, steps: int) -> int:
         """The end of a piece, at a multiple of a block, or between two legs or saves."""
         ends = [self.length]
-        leg, save = self._leg_at(at) + _LEGS, self._saves_until(at) + _SAVES
+        leg = int(np.searchsorted(self._stops, position, "right")) + _LEGS
+        save = self._saves_until(position) + _SAVES
         if leg < len(self.legs):
             ends.append(int(self._starts[leg]))
         if save < self._keys.size:
-            ends.append(max(int(self._keys[save]) // 2, at + 1))
-        if at + steps < min(ends):
-            leg = self._leg_at(at + steps)
-            start, first = int(self._starts[leg]), int(self.legs["first"][leg])
-            count = first + at + steps - start
-            cut = max(count // self._block * self._block, first)
-            if start + cut - first <= at:
-                cut += self._block
-            ends.append(start + cut - first)
-        return min(ends)
+            ends.append(max(int(self._keys[save]) // 2, position + 1))
+        end = position + max(steps, self._block)
+        return end // self._block * self._block if end < min(ends) else min(ends)
 
-    def _leg_at(self, position: int) -> int:
-        """The leg that goes on from a position, or the last."""
-        return min(int(np.searchsorted(self._ends, position, "right")), len(self.legs) - 1)
+    def _piece(self, position: int, end: int) -> Piece:
+        """The piece between two positions, made once if the run's tape is not long."""
+        piece = self._pieces.get((position, end))
+        if piece is None:
+            whole, is_within = self._whole_until(end)
+            tape = self._tape(position, end)
+            piece = Piece(tape, end, -1 if is_within else whole, self._saves_until(end))
+            if tape.size + sum(x.tape.size for x in self._pieces.values()) <= _KEPT:
+                self._pieces[position, end] = piece
+        return piece
 
-    def _saves_until(self, position: int) -> int:
-        """How many saves are made until a position."""
-        return int(np.searchsorted(self._keys, 2 * position, "right"))
-
-    def _tape(self, at: int, end: int) -> Tape:
+    def _tape(self, position: int, end: int) -> Tape:
         """The records of the steps between two positions, in times since the start."""
-        leg = self._leg_at(at)
-        shift = at - int(self._starts[leg])
-        # the clock with which the steps before ended, and their number
-        before = self.legs[leg : leg + 1] if shift or leg == 0 else self.legs[leg - 1 : leg]
-        count = int(self.legs["first"][leg]) + shift if shift or leg == 0 else int(before["end"][0])
-        saves = slice(self._saves_until(at), self._saves_until(end))
-        tape = [_clock(before), _records(START)]
-        if self._resumes or self._watched or at > self.first:
-            tape.append(_records(RESTORE))
-        if at == self.first and saves.start:
-            tape.append(_records(SAVE, first=count, slot=self._slots[: saves.start]))
-        if end > at:
-            tape.append(self._body(at, end, leg, (before, count), saves))
-        return _joined([*tape, _records(STATUS)])
+        is_first = position == self.first
+        saves = slice(0 if is_first else self._saves_until(position), self._saves_until(end))
+        saved, rests, slots = self._keys[saves] // 2, self._rests[saves], self._slots[saves]
+        on_step = rests == 0.0
+        legs = slice(*np.searchsorted(self._starts, (position, end)))
+        starts, jumps = self._starts[legs], self.legs["jumps"][legs] != 0
+        changes = starts[(starts > 0) | jumps]
+        projected = self._projected(position, end)
+        blocks = np.arange(position // self._block + 1, -(-end // self._block)) * self._block
+        stops = np.sort(np.concatenate([blocks, projected, saved, starts, [end]]))
+        taken = np.diff(stops, prepend=position)
+        stops, taken = stops[taken > 0], taken[taken > 0]
+        looks = starts if self._watched else starts[:0]
+        if self._watched and self._new and is_first and position < end:
+            looks = np.union1d(looks, position)
+        groups: list[tuple[Whole, Tape]] = []
 
-    def _body(self, at: int, end: int, leg: int, before: tuple[Legs, int], saves: slice) -> Tape:
-        """What happens from the leg on that goes on at a position.
+        def add(records: Callable[..., Tape], what: Any, positions: Whole, **about: Any) -> None:
+            if positions.size:
+                groups.append((positions, records(what, positions, **about)))
 
-        ``before`` is the clock of the steps before, and their number.
-        """
-        if len(self.legs) == 1 and not (self._watched or self.forks or self.legs["jumps"][0]):
-            few = self._few(at, end, saves)
-            if few is not None:
-                return few
-        last = int(np.searchsorted(self._ends, end)) + 1
-        legs, starts = self.legs[leg:last].copy(), self._starts[leg:last].copy()
-        is_clipped = int(at > starts[0])
-        legs["first"][0] += at - starts[0]
-        cut = self._ends[last - 1] - end
-        legs["end"][-1] -= cut
-        legs["whole"][-1] -= cut * (legs["whole"][-1] >= 0)
-        starts[0] = at
-        ends = starts + legs["end"] - legs["first"]
-        projected = _multiples(legs, starts, legs["whole"] - legs["end"], self._every)
-        blocks = _multiples(legs, starts, 0, self._block)
-        saved = self._keys[saves] // 2
-        stops = np.unique(np.concatenate([blocks, projected, saved, ends]))
-        stops = stops[stops > at]
-        begins = np.concatenate([[at], stops[:-1]])
-        of = np.searchsorted(ends, stops)
-        shift = legs["first"][of] - starts[of]
-        # what happens at the same position is in the order of the groups
-        groups = [(stops, _records(STEPS, first=begins + shift, end=stops + shift))]
-        if projected.size:
-            groups.append((projected, _records(PROJECT, first=projected)))
-        if saved.size:
-            groups.append(self._saved(saved, saves))
-        if len(legs) > 1 or not is_clipped:
-            groups.append((starts[is_clipped:], _changes(legs, *before)[is_clipped:]))
-        if self.forks and saved.size:
-            groups.append(self._saved_within(saved, saves))
-        if self._watched:
-            new = is_clipped * (not (self._new and at == self.first))
-            groups.append((starts[new:], _looks(legs[new:])))
+        # what happens at the same position is in this order
+        goes_on = self._resumes or self._watched or not is_first
+        start = (Action.START, Action.RESTORE) if goes_on else (Action.START,)
+        add(self._records, start, np.array([position]))
+        add(self._records, (Action.STEPS,), stops, taken=taken)
+        add(self._records, (Action.PROJECT,), projected)
+        add(self._records, (Action.SAVE,), saved[on_step], slots=slots[on_step])
+        if self._regrids:
+            add(self._records, (Action.LEAVE,), changes)
+        add(self._records, (Action.JUMP,), starts[jumps], side="right")
+        if self._regrids:
+            add(self._records, (Action.ENTER,), changes, side="right")
+        about = {"rests": rests[~on_step], "slots": slots[~on_step]}
+        add(self._copied, Action.SAVE, saved[~on_step], **about)
+        add(self._records, (Action.LOOK,), looks, side="right")
+        add(self._copied, Action.MIDDLE, looks)
+        add(self._records, (Action.STATUS,), np.array([end]))
         return _in_order(groups)
 
-    def _few(self, at: int, end: int, saves: slice) -> Tape | None:
-        """The records of a run of one leg, if they are few: Python takes a third of the time."""
-        grains = [self._block] + [self._every] * (self._every > 0)
-        if saves.stop - saves.start + sum((end - at) // grain for grain in grains) > _FEW:
-            return None
-        saved = dict(zip(self._counts[saves].tolist(), self._slots[saves].tolist(), strict=True))
-        if len(saved) < saves.stop - saves.start:  # two saves at one time
-            return None
-        stops = {end, *saved}
-        for grain in grains:
-            stops.update(range((at // grain + 1) * grain, end, grain))
-        rows: list[tuple[float, ...]] = []
-        for stop in sorted(stops):
-            rows.append((STEPS, at, stop, 0))
-            if self._every and stop % self._every == 0:
-                rows.append((PROJECT, stop, 0, 0))
-            if stop in saved:
-                rows.append((SAVE, stop, 0, saved[stop]))
-            at = stop
-        tape = np.zeros(len(rows), RECORD)
-        for name, column in zip(
-            ("action", "first", "end", "slot"), zip(*rows, strict=True), strict=True
-        ):
-            tape[name] = column
-        return tape
+    def _projected(self, position: int, end: int) -> Whole:
+        """The positions of the projections from a position on, to another one."""
+        if not self._every:
+            return np.zeros(0, np.int64)
+        first, last = (self._whole_until(x)[0] // self._every for x in (position, end))
+        positions: Whole = self._after(np.arange(first + 1, last + 1) * self._every)
+        return positions
 
-    def _saved(self, positions: Whole, saves: slice) -> tuple[Whole, Tape]:
-        """The records of saves after whole steps."""
-        there = self._rests[saves] == 0.0
-        counts, slots = self._counts[saves][there], self._slots[saves][there]
-        return positions[there], _records(SAVE, first=counts, slot=slots)
+    def _records(
+        self, actions: Sequence[Action], positions: Whole, *,
+        side: Literal["left", "right"] = "left", taken: Any = 0, slots: Any = 0,
+    ) -> Tape:  # fmt: skip
+        """A row of records for each position.
 
-    def _saved_within(self, positions: Whole, saves: slice) -> tuple[Whole, Tape]:
-        """The records of saves within a step, in rows."""
-        there = self._rests[saves] != 0.0
-        legs = self.legs[self._leg_of_save[saves][there]]
-        columns = (x[saves][there] for x in (self._counts, self._rests, self._slots))
-        return positions[there], _copied(SAVE, legs, *columns)
+        Where two legs meet, they have the clock of the leg before, and with the ``side`` "right"
+        that of the leg after; ``taken`` counts the steps to the position.
+        """
+        leg = np.searchsorted(self._stops, positions, side)
+        counts = positions - self._stops[leg] + self.legs["end"][leg]
+        records = np.zeros((positions.size, len(actions)), RECORD)
+        columns = {"first": counts - taken, "end": counts, "slot": slots}
+        columns |= {name: self.legs[name][leg] for name in CLOCK}
+        records["action"] = actions
+        for name, column in columns.items():
+            records[name] = np.reshape(column, (-1, 1))
+        return records
+
+    def _copied(
+        self, action: Action, positions: Whole, *, rests: Times | None = None, slots: Any = 0
+    ) -> Tape:
+        """A shorter step from each position on, on a copy of the tile, and what follows it.
+
+        It takes the ``rests``, s, or half of the step.
+        """
+        change = (Action.LEAVE, Action.ENTER) if self._regrids else ()
+        actions = Action.FORK, *change, Action.STEPS, action, Action.JOIN
+        records = self._records(actions, positions, side="right", slots=slots)
+        # from ENTER on, another clock, whose only step ends at the action
+        step = records[:, actions.index(change[-1] if change else Action.STEPS) : -1]
+        step["begin"] += step["first"] * step["dt"]
+        step["dt"] = 0.5 * step["dt"] if rests is None else rests[:, None]
+        step["first"], step["end"] = step["action"] == action, 1
+        return records
 
 
 def _in_order(groups: list[tuple[Whole, Tape]]) -> Tape:
-    """Records, or rows of them, in the order of their positions, then of the groups."""
-    records, keys = [], []
-    for kind, (positions, made) in enumerate(groups):
-        if made.size:
-            records.append(made.reshape(-1))
-            key = positions * len(groups) + kind
-            keys.append(key if made.ndim == 1 else np.repeat(key, made.shape[1]))
-    if len(records) == 1:
-        return records[0]
+    """Rows of records in the order of their positions, then of the groups."""
+    keys = [
+        np.repeat(positions * len(groups) + kind, records.shape[1])
+        for kind, (positions, records) in enumerate(groups)
+    ]
     order = np.concatenate(keys).argsort(kind="stable")
-    is_there = np.concatenate([x["action"] for x in records]) != _NOTHING
-    return _joined(records, order[is_there[order]])
-
-
-def _joined(records: Sequence[Tape], order: Whole | None = None) -> Tape:
-    """Records of some arrays, in an order; as whole numbers, since NumPy copies field by field."""
-    rows = np.concatenate([x.view(np.int64).reshape(x.size, -1) for x in records])
-    tape: Tape = (rows if order is None else rows.take(order, axis=0)).view(RECORD)[:, 0]
-    return tape
+    # as bytes, since NumPy copies records field by field
+    tape = np.concatenate([x.reshape(-1).view(_BYTES) for _, x in groups])
+    return tape.take(order).view(RECORD)
 
 
 def _from(t0: float, tape: Tape) -> Tape:
@@ -358,72 +359,3 @@ def _from(t0: float, tape: Tape) -> Tape:
         tape = tape.copy()
         tape["begin"] += t0
     return tape
-
-
-def _records(action: int, **columns: Any) -> Tape:
-    made = np.zeros(max((np.size(x) for x in columns.values()), default=1), RECORD)
-    made["action"] = action
-    for name, x in columns.items():
-        made[name] = x
-    return made
-
-
-def _clock(legs: Legs) -> Tape:
-    return _records(CLOCK, **{name: legs[name] for name in TIMES})
-
-
-def _multiples(legs: Legs, starts: Whole, shift: Any, every: int) -> Whole:
-    """Positions in legs at which the count with a shift is a multiple of a number of steps."""
-    if not every:
-        return _NONE
-    low = (legs["first"] + shift) // every
-    n = ((legs["end"] + shift) // every - low) * (legs["whole"] >= 0)
-    if not n.any():
-        return _NONE
-    leg = np.repeat(np.arange(len(legs)), n)
-    k = np.arange(leg.size) - np.repeat(np.cumsum(n) - n, n)
-    counts = (low[leg] + 1 + k) * every - np.broadcast_to(shift, low.shape)[leg]
-    positions: Whole = starts[leg] + counts - legs["first"][leg]
-    return positions
-
-
-def _changes(legs: Legs, before: Legs, count: int) -> Tape:
-    """From the clock of the leg before to that of each leg, where it is another one.
-
-    ``count`` steps were taken with the clock ``before``.
-    """
-    last = np.concatenate([before, legs[:-1]])
-    moves = legs["jumps"] != 0
-    for name in TIMES:
-        moves |= last[name] != legs[name]
-    if not moves.any():
-        return np.zeros((0, 4), RECORD)
-    made = np.zeros((len(legs), 4), RECORD)
-    made["action"] = np.where(moves[:, None], (LEAVE, CLOCK, JUMP, ENTER), _NOTHING)
-    made["action"][legs["jumps"] == 0, 2] = _NOTHING
-    made["first"] = legs["first"][:, None]
-    made["first"][:, 0] = last["end"]
-    made["first"][0, 0] = count
-    for name in TIMES:
-        made[name] = legs[name][:, None]
-    return made
-
-
-def _copied(action: int, legs: Legs, counts: Any, rests: Any, slots: Any = 0) -> Tape:
-    """A shorter step after some of a leg's, on a copy of the tile, and what is done after it."""
-    order = FORK, LEAVE, CLOCK, ENTER, STEPS, action, JOIN
-    made = np.zeros((len(legs), len(order)), RECORD)
-    made["action"] = order
-    made["first"][:, 1], made["end"][:, 4], made["first"][:, 5] = counts, 1, 1
-    made["slot"][:, 5] = slots
-    for name in TIMES:
-        made[name] = legs[name][:, None]
-    made["dt"][:, 2], made["begin"][:, 2] = rests, legs["begin"] + counts * legs["dt"]
-    return made
-
-
-def _looks(legs: Legs) -> Tape:
-    """The values of events where legs begin, and in the middle of their first step."""
-    look = _records(LOOK, first=legs["first"])[:, None]
-    middle = _copied(MIDDLE, legs, legs["first"], 0.5 * legs["dt"])
-    return np.concatenate([look, middle], axis=1)

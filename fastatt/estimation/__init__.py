@@ -18,24 +18,12 @@ from fastatt.estimation.covariance import (
     right_jacobian_inverse,
     transition_matrix,
 )
-from fastatt.estimation.derivatives import (
-    BodyTangent,
-    StepTangent,
-    Transition,
-    body_tangent,
-    sample_transitions,
-    step_tangent,
-)
+from fastatt.estimation.derivatives import body_tangent, sample_transitions, step_tangent
 from fastatt.estimation.filters import attitude_error, mean_attitude
-from fastatt.estimation.inertial_logs import Preintegration, Preintegrator, preintegrate
+from fastatt.estimation.inertial_logs import Preintegrator, preintegrate
 from fastatt.estimation.mekf import MEKF
-from fastatt.estimation.motions import Motion, gyro_motion, scene_motion
-from fastatt.estimation.noise import (
-    SimulatedGyro,
-    from_data_sheet,
-    simulate_gyro,
-    to_data_sheet,
-)
+from fastatt.estimation.motions import gyro_motion, scene_motion
+from fastatt.estimation.noise import simulate_gyro
 from fastatt.estimation.runs import RunTangent, run_tangent
 from fastatt.estimation.ukf import UKF
 from fastatt.estimation.updates import (
@@ -46,13 +34,11 @@ from fastatt.estimation.updates import (
 )
 
 __all__ = [
-    "MEKF", "UKF", "BodyTangent", "Motion",
-    "Preintegration", "Preintegrator", "RunTangent", "SimulatedGyro", "StepTangent",
-    "Transition", "attitude_error", "body_tangent",
-    "covariance_to_body", "covariance_to_inertial", "from_data_sheet", "gyro_motion",
-    "left_jacobian", "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
+    "MEKF", "UKF", "Preintegrator", "RunTangent", "attitude_error", "body_tangent",
+    "covariance_to_body", "covariance_to_inertial", "gyro_motion", "left_jacobian",
+    "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
     "mekf_update_attitude", "mekf_update_vector", "predict_covariance", "preintegrate",
-    "preintegration", "process_noise", "right_jacobian",
-    "right_jacobian_inverse", "run_tangent", "sample_transitions", "scene_motion",
-    "simulate_gyro", "step_tangent", "to_data_sheet", "transition_matrix",
+    "preintegration", "process_noise", "right_jacobian", "right_jacobian_inverse",
+    "run_tangent", "sample_transitions", "scene_motion", "simulate_gyro", "step_tangent",
+    "transition_matrix",
 ]  # fmt: skip

@@ -12,17 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks, kernels
+from fastatt import checks
 from fastatt.arrays import normalised, quat_to_dcm
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.estimation.amounts import at_least_zero, common_number, covariances, interval
-from fastatt.tracing.formulas import Vector, scale
-from fastatt.tracing.trace import stand_in
+from fastatt.tracing.formulas import Kernels, Vector, scale, so3
 
 Formula = Callable[..., Any]
 
-so3: Any = stand_in(kernels.so3)
-error_state: Any = stand_in(kernels.error_state)
+error_state: Any = Kernels("error_state")
 
 
 # formulas for the numbers of a row

@@ -19,7 +19,8 @@ from fastatt.codegen.scalar import scalar_function
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, triples
 from fastatt.gyro.ends import beyond
-from fastatt.gyro.integrate import intervals, methods_for_samples
+from fastatt.gyro.integrate import methods_for_samples
+from fastatt.gyro.intervals import intervals
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.scene.equations import PrescribedRate
@@ -129,7 +130,7 @@ def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
             "scene: found one with inertia, mass, states or rates in inertial axes; accepted: a "
             "scene with a rate in body axes"
         )
-    return method_of(scene, method, "quat", need="is_stepped"), scene.packed(None)
+    return method_of(scene, method, "quat", stepped=True), scene.packed(None)
 
 
 # samples
@@ -199,11 +200,10 @@ def sample_transitions(
     b = triples("bias", bias, n_logs)
     data -= b[:, None] * (spans[:, None] if increments else 1.0)
     window = record.window
-    before, after = beyond(data, spans, window, increments)
     # extrapolated samples complete the first and the last window
     missing = -m % window.span
-    history = before[:, before.shape[1] - window.history :]
-    padded = np.concatenate([history, data, after[:, :missing]], axis=1)
+    before, after = beyond(data, spans, window, increments, missing)
+    padded = np.concatenate([before, data, after], axis=1)
     wide = np.pad(spans, (window.history, missing), mode="edge")
     v = sliding_window_view(padded, window.samples(increments), axis=1)[:, :: window.span]
     v = np.swapaxes(v, 2, 3).reshape(*v.shape[:2], -1)
@@ -235,7 +235,7 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
         raise ValueError(
             "scene: found no inertia, or mass or states; accepted: a scene with inertia alone"
         )
-    record = method_of(scene, method, "quat", need="is_stepped")
+    record = method_of(scene, method, "quat", stepped=True)
     return record, scene.packed(None, sorted_axes=record.sorted_axes)
 
 
@@ -316,7 +316,7 @@ def body_tangent(
     Notes
     -----
     The derivatives are those of the method's formulas, exact to rounding. For a user-defined torque
-    that can't be traced they are central differences with an error of some 1e-10. Φ of splitting
+    that is not followed they are central differences with an error of some 1e-10. Φ of splitting
     methods and of ``dmv2`` is symplectic to 1e-14. That of ``dmv10``, whose moments depend on the
     state, is symplectic to its order: to 2e-13 at ``|w| h`` = 0.25.
 
@@ -377,7 +377,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     (3,), as in :class:`Transition`. For a body, ``step(t, h, q, m, p)`` returns (q, m, Φ) after the
     step from the unit quaternion q and the angular momentum m, N·m·s along body axes, with the 36
     numbers of Φ row by row, as in :class:`BodyTangent`. p is ``params``, or a row of it.
-    Quaternions and matrices are flat tuples. For a user-defined torque that can't be traced, its
+    Quaternions and matrices are flat tuples. For a user-defined torque that is not followed,
     derivatives are central differences with an error of some 1e-10.
 
     Examples

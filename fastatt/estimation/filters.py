@@ -115,7 +115,7 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     Examples
     --------
     >>> import fastatt as fa
-    >>> fa.mean_attitude([[1.0, 0.1, 0.0, 0.0], [1.0, -0.1, 0.0, 0.0]]).round(6).tolist()
+    >>> fa.estimation.mean_attitude([[1.0, 0.1, 0.0, 0.0], [1.0, -0.1, 0.0, 0.0]]).round(6).tolist()
     [1.0, 0.0, 0.0, 0.0]
     """
     rows = _not_zero("q", q)

@@ -14,7 +14,7 @@ from fastatt.arrays import normalised, quat_multiply, quat_rotate, rotation_vect
 from fastatt.codegen.rows import LogFunction
 from fastatt.estimation import preintegration as pre
 from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
-from fastatt.gyro.integrate import intervals
+from fastatt.gyro.intervals import intervals
 from fastatt.threads import number_of
 from fastatt.tracing.formulas import Vector, minus
 

@@ -42,7 +42,8 @@ class MEKF(Estimates):
     -----
     UserWarning
         If a filter has refused 10 measurements in a row because of their ``gate``; measurements
-        that are ignored do not count. If an attitude was known too little for a vector's precision.
+        that are ignored do not count. If the iteration of an update has not converged, because the
+        attitude was much less certain than the vector.
 
     Notes
     -----

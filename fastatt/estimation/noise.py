@@ -1,9 +1,8 @@
-"""The noise of a sensor: units of data sheets and simulated samples."""
+"""Samples of a gyro with simulated noise."""
 
 from __future__ import annotations
 
 import math
-import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,108 +11,6 @@ from numpy.typing import ArrayLike
 from fastatt import checks
 from fastatt.estimation.amounts import at_least_zero, interval, random_generator
 from fastatt.estimation.filters import Floats
-
-_DEGREE, _HOUR, _G = math.pi / 180.0, 3600.0, 9.80665
-#: units in terms of rad, m and s
-_UNITS: dict[str, float] = {
-    # angle random walk, rad/√s, which equals a rate's density in rad/s/√Hz
-    "rad/sqrt(s)": 1.0, "rad/s/sqrt(Hz)": 1.0, "deg/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
-    "deg/sqrt(s)": _DEGREE, "deg/s/sqrt(Hz)": _DEGREE, "mdeg/s/sqrt(Hz)": 1e-3 * _DEGREE,
-    "deg/h/sqrt(Hz)": _DEGREE / _HOUR,
-    # a gyro's bias and its instability, rad/s
-    "rad/s": 1.0, "deg/s": _DEGREE, "mdeg/s": 1e-3 * _DEGREE, "deg/h": _DEGREE / _HOUR,
-    # rate random walk, rad/s^1.5
-    "rad/s/sqrt(s)": 1.0, "deg/s/sqrt(s)": _DEGREE, "deg/s/sqrt(h)": _DEGREE / math.sqrt(_HOUR),
-    "deg/h/sqrt(h)": _DEGREE / _HOUR**1.5,
-    # velocity random walk, m/s^1.5
-    "m/s/sqrt(s)": 1.0, "m/s^2/sqrt(Hz)": 1.0, "m/s/sqrt(h)": 1.0 / math.sqrt(_HOUR),
-    "mg/sqrt(Hz)": 1e-3 * _G, "ug/sqrt(Hz)": 1e-6 * _G,
-    # an accelerometer's bias and its instability, m/s²
-    "m/s^2": 1.0, "g": _G, "mg": 1e-3 * _G, "ug": 1e-6 * _G,
-}  # fmt: skip
-
-
-def from_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """Convert a number from a data sheet to units of rad, m and s.
-
-    Parameters
-    ----------
-    value : float or array_like
-        The number.
-    unit : str
-        "deg/sqrt(h)", "deg/h", "deg/h/sqrt(h)", "mdeg/s/sqrt(Hz)", "m/s/sqrt(h)", "ug/sqrt(Hz)",
-        "mg" or a similar unit; "°", "√h", "dps" and "µ" are accepted too.
-
-    Returns
-    -------
-    float or ndarray
-        The number in the units of the filters and simulations of this module.
-
-    Raises
-    ------
-    ValueError
-        If the unit is unknown; the message lists the known ones.
-    TypeError
-        If ``value`` is not a number.
-
-    Notes
-    -----
-    A density is interpreted as the coefficient of the random walk, σ² = N²/τ. If a data sheet means
-    a one-sided spectrum, the result is √2 too large.
-
-    Examples
-    --------
-    >>> from fastatt import estimation as es
-    >>> print(f"{es.from_data_sheet(0.15, 'deg/sqrt(h)'):.4e} rad/√s")
-    4.3633e-05 rad/√s
-    """
-    return _figure(value) * _one_of(unit)
-
-
-def to_data_sheet(value: ArrayLike, unit: str) -> Any:
-    """Convert a number in units of rad, m and s to the unit of a data sheet.
-
-    Parameters
-    ----------
-    value : float or array_like
-        The number.
-    unit : str
-        A unit, as in :func:`from_data_sheet`.
-
-    Returns
-    -------
-    float or ndarray
-        The number in this unit.
-
-    Raises
-    ------
-    ValueError
-        If the unit is unknown.
-    TypeError
-        If ``value`` is not a number.
-
-    Examples
-    --------
-    >>> from fastatt import estimation as es
-    >>> print(f"{es.to_data_sheet(4.3633e-05, 'deg/sqrt(h)'):.2f} deg/√h")
-    0.15 deg/√h
-    """
-    return _figure(value) / _one_of(unit)
-
-
-def _figure(value: ArrayLike) -> Any:
-    found = checks.numbers("value", value, "a number or an array of them")
-    checks.finite("value", found)
-    return found.astype(np.float64)[()]
-
-
-def _one_of(unit: str) -> float:
-    plain = unit
-    if isinstance(unit, str):
-        plain = re.sub(r"√\(?(\w+)\)?", r"sqrt(\1)", unit.replace(" ", ""))
-        for sign, name in (("°", "deg"), ("dps", "deg/s"), ("µ", "u"), ("μ", "u"), ("²", "^2")):
-            plain = plain.replace(sign, name)
-    return _UNITS[checks.choice("unit", plain, _UNITS)]
 
 
 class SimulatedGyro(NamedTuple):

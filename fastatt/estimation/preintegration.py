@@ -32,6 +32,8 @@ from fastatt.tracing.dual import derivatives, seed, value
 
 _formula = partial(scalar_function, rewritten=True)
 
+__all__ = ["add_sample", "begin", "corrected", "navigate"]
+
 
 class PreintegratedRotation(NamedTuple):
     """Preintegrated rotation of a gyro.
@@ -45,7 +47,7 @@ class PreintegratedRotation(NamedTuple):
     jacobian : tuple of 9 float
         Derivative ∂φ/∂b_g, s, row by row.
     covariance : tuple of 6 float
-        Covariance of δφ, rad², in ``sym3`` order.
+        Covariance of δφ, rad², in the order (11, 12, 13, 22, 23, 33).
     """
 
     t: Any
@@ -70,7 +72,7 @@ class Preintegrated(NamedTuple):
     rv, rp, vp : tuple of 9 float
         Off-diagonal blocks of the covariance.
     vv, pp : tuple of 6 float
-        Diagonal blocks of the covariance, in ``sym3`` order.
+        Diagonal blocks of the covariance, in the order (11, 12, 13, 22, 23, 33).
     """
 
     rotation: Any

@@ -176,9 +176,9 @@ def single_step(
     scene : Scene
         The body with its rates, torques and forces.
     method : str or Method, optional
-        A name in :data:`fastatt.METHODS`, or a custom method. The default is the first of magnus4,
-        rk8 and rk4 that fits. The closed form takes no steps: see ``fastatt.closed_form``,
-        ``fastatt.kernels.free_body`` and ``fastatt.kernels.heavy_top``.
+        A name in :data:`fastatt.METHODS`, or a user-defined method. The default is the first of
+        magnus6, rk8 and rk4 that fits. The closed form takes no steps: see
+        ``fastatt.closed_form``.
     representation : str, default "quat"
         The representation, as in :func:`fastatt.propagate`.
     position : bool, default False
@@ -204,10 +204,10 @@ def single_step(
 
     Results are those of :func:`fastatt.propagate` bit for bit, with two exceptions. After a
     rotation angle above π, ``propagate`` repeats a whole block of steps with a form of the
-    exponential for all angles, whereas a single step repeats only itself. Methods that step other
-    variables than x convert to these and back in every ``step``, and round the times of stages
-    differently; this changes a few ulps in each step. With ``enter``, ``advance`` and ``leave`` it
-    changes nothing if the torque does not depend on time.
+    exponential for all angles, whereas a single step repeats only itself. The splittings, ``dmv2``,
+    ``dmv10`` and ``gbs16`` differ by a few ulps in each step: their steps convert x to other
+    variables and back, or round the times of stages differently. With ``enter``, ``advance`` and
+    ``leave`` they do not differ if the torque does not depend on time.
 
     Examples
     --------
@@ -220,7 +220,7 @@ def single_step(
     """
     as_scene(scene)
     attitude = attitude_of(representation)
-    record = method_of(scene, method, representation, need="is_stepped")
+    record = method_of(scene, method, representation, stepped=True)
     if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     if scene.sampling is not None:
@@ -269,7 +269,7 @@ class _Parts:
         tail = self._formulas.job.structure.tail
         if len(y) != tail:
             raise TypeError(f"y: found {len(y)} numbers; accepted: {tail}")
-        return scope.made(scope.begin(q, as_like(tuple(y), q[0])))
+        return scope.made(scope.motion.begin(q, as_like(tuple(y), q[0])))
 
     def to_stepped(self, t: Any, h: Any, edge: Any, x: Vector, p: Vector) -> tuple[Vector, Vector]:
         """(y, e): the stepped variables, and what a run with step size h needs."""

@@ -22,7 +22,6 @@ from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
 from fastatt.tracing.functions import larger
 from fastatt.tracing.trace import traceable
-from fastatt.tracing.traced import Recurrence
 
 Formula = Callable[..., Any]
 
@@ -179,26 +178,20 @@ def body_tangent(
     # the stepped variables are this share of h ahead
     share = 0.5 * method.stages[-1][1] if method.stages else 0.0
 
-    def begin(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
-        motion = moving(p)
+    def staged(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
+        motion, most = moving(p), 0.0
         x = start(motion, q, m, p)
         e = () if steps.prepare is None else steps.prepare(motion, h, x)
         if steps.enter is not None:
             x = steps.enter(motion, t, 0.0, share * h, x, e)
-        return (x, 0.0), e
-
-    def stage(x: Any, e: Any, row: Vector, t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
-        (y, most), (part, other, at) = x, row
-        y, z = steps.stage(moving(p), t + at * h, part * h, other * h, y, e)
-        return y, larger(value(z), most)
-
-    def end(x: Any, e: Any, t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
-        (y, most), motion = x, moving(p)
+        for part, other, at in method.stages or ((1.0, 1.0, 0.0),):
+            x, z = steps.stage(motion, t + at * h, part * h, other * h, x, e)
+            most = larger(value(z), most)
         if steps.leave is not None:
-            y = steps.leave(motion, t + h, h, share * h, y, e)
-        return finish(motion, y, most, p)
+            x = steps.leave(motion, t + h, h, share * h, x, e)
+        return finish(motion, x, most, p)
 
-    return Recurrence(begin, stage, end, method.stages or ((1.0, 1.0, 0.0),))
+    return staged
 
 
 def differentiated(structure: RigidBody, p: Vector, size: int, first: int) -> Vector:

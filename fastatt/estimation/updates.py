@@ -2,7 +2,7 @@
 
 The estimate is q, an auxiliary state y (K numbers; the bias b for an MEKF) and the covariance of
 the error (δθ, δy): q_true = q∘exp(δθ), y_true = y + δy, δθ in body axes. The public kernels have K
-= 3 and take a covariance as ``fastatt.kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
+= 3 and take a covariance as ``kernels.error_state`` does, (P11, P12, P22) with 6, 9 and 6
 numbers. Internally a covariance is its rows. It is updated in Joseph's form and is symmetric by
 construction. Lefferts, Markley and Shuster, *Journal of Guidance and Control* 5 (1982) 417; Markley
 and Crassidis, *Fundamentals of Spacecraft Attitude Determination and Control* (2014), §6.2.
@@ -85,7 +85,7 @@ def mekf_update(q, b, P, z, H, R):
     H : tuple of 9 float
         Matrix, row by row.
     R : tuple of 6 float
-        Covariance of the noise, in ``sym3`` order.
+        Covariance of the noise, in the order (11, 12, 13, 22, 23, 33).
 
     Returns
     -------
@@ -154,7 +154,8 @@ def mekf_update_attitude(q, b, P, measured, R):
     measured : tuple of 4 float
         Measured attitude, a unit quaternion, body to inertial.
     R : tuple of 6 float
-        Covariance of the rotation error about body axes, rad², in ``sym3`` order.
+        Covariance of the rotation error about body axes, rad², in the
+        order (11, 12, 13, 22, 23, 33).
 
     Returns
     -------

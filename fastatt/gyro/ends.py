@@ -13,26 +13,28 @@ from fastatt.methods.windows import Window
 Array = NDArray[Any]
 
 
-def beyond(data: Array, spans: Any, window: Window, increments: bool) -> tuple[Array, Array]:
-    """Samples (N, k, 3) before and after logs, from the polynomial of the nearest whole window."""
+def beyond(
+    data: Array, spans: Any, window: Window, increments: bool, missing: int
+) -> tuple[Array, Array]:
+    """Samples that a window lacks before logs (N, history, 3), and ``missing`` ones after them.
+
+    They are those of the polynomial of the nearest whole window, or of all samples.
+    """
     n = data.shape[1]
-    head = before(spans, n, window, increments)[::-1]
-    tail = after(spans, n, -(n - (not increments)) % window.span, window, increments)
-    return head @ data[:, : head.shape[1]], tail @ data[:, n - tail.shape[1] :]
-
-
-def before(spans: Any, n: int, window: Window, increments: bool) -> Array:
-    """Table (history, near) for samples before a log of n, the nearest first, from its first."""
-    near = min(window.samples(increments), n)
-    gaps = spans[: near - (not increments)][::-1] if np.ndim(spans) else near - (not increments)
-    return _table(gaps, window.history, increments)[:, ::-1]
-
-
-def after(spans: Any, n: int, count: int, window: Window, increments: bool) -> Array:
-    """Table (count, near) for the samples after a log of n, from its last ones."""
     near = min(window.samples(increments), n)
     inside = near - (not increments)
-    return _table(spans[len(spans) - inside :] if np.ndim(spans) else inside, count, increments)
+    uneven = isinstance(spans, np.ndarray)
+    before = after = data[:, :0]
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # samples that are not finite are refused after the run
+        if window.history:
+            gaps = spans[:inside][::-1] if uneven else inside
+            before = _table(gaps, window.history, increments)[::-1, ::-1] @ data[:, :near]
+        if missing:
+            gaps = spans[len(spans) - inside :] if uneven else inside
+            after = _table(gaps, missing, increments) @ data[:, n - near :]
+    return before, after
 
 
 def _table(gaps: Any, n: int, increments: bool) -> Array:

@@ -9,18 +9,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from numba.np.unsafe.ndarray import to_fixed_tuple
-
 from fastatt._jit import helper, kernel
+from fastatt._numba import to_fixed_tuple
 from fastatt.codegen.scalar import scalar_function
 from fastatt.gyro.integrate import method_of
 from fastatt.kernels import quat
-from fastatt.methods import coning2 as _coning2
-from fastatt.methods import hold as _hold
-from fastatt.methods import previous as _previous
-from fastatt.methods import trapezoid as _trapezoid
+from fastatt.methods import samples as _samples
 from fastatt.methods.windows import Iteration, products
-from fastatt.tracing.traced import Recurrence
+
+__all__ = [
+    "coning2", "coning2_increments", "hold", "hold_increments", "previous", "previous_increments",
+    "sample_step", "trapezoid",
+]  # fmt: skip
 
 # squared angle below which the short exponential is accurate, with a margin
 _SHORT = 9.0
@@ -85,7 +85,7 @@ def hold(q, w, h):
     tuple of 4 float
         Attitude at the end of the interval.
     """
-    return turned(q, _hold.rates(w, (h,)))
+    return turned(q, _samples.hold_rates(w, (h,)))
 
 
 @kernel
@@ -127,7 +127,7 @@ def trapezoid(q, w0, w1, h):
     tuple of 4 float
         Attitude at the end of the interval.
     """
-    return turned(q, _trapezoid.rates(w0 + w1, (h,)))
+    return turned(q, _samples.trapezoid_rates(w0 + w1, (h,)))
 
 
 @kernel
@@ -159,7 +159,7 @@ def previous(q, w0, w1, w2, h0, h1):
     The parabola magnifies noise if ``h0`` is much shorter than ``h1``; ``trapezoid`` does not. The
     same holds of ``coning2`` if either interval is much shorter than the other.
     """
-    return turned(q, _previous.rates(w0 + w1 + w2, (h0, h1)))
+    return turned(q, _samples.previous_rates(w0 + w1 + w2, (h0, h1)))
 
 
 @kernel
@@ -184,7 +184,7 @@ def previous_increments(q, u0, u1, h0, h1):
     tuple of 4 float
         Attitude at the end of the newest interval.
     """
-    return turned(q, _previous.increments(u0 + u1, (h0, h1)))
+    return turned(q, _samples.previous_increments(u0 + u1, (h0, h1)))
 
 
 @kernel
@@ -211,8 +211,8 @@ def coning2(q, w0, w1, w2, h0, h1):
     tuple of two tuples of 4 float
         Attitudes at the ends of the two intervals.
     """
-    found = _two(q, _coning2.rates(w0 + w1 + w2, (h0, h1)))
-    return found[:4], found[4:]
+    attitudes = _two(q, _samples.coning2_rates(w0 + w1 + w2, (h0, h1)))
+    return attitudes[:4], attitudes[4:]
 
 
 @kernel
@@ -237,8 +237,8 @@ def coning2_increments(q, u0, u1, h0, h1):
     tuple of two tuples of 4 float
         Attitudes at the ends of the two intervals.
     """
-    found = _two(q, _coning2.increments(u0 + u1, (h0, h1)))
-    return found[:4], found[4:]
+    attitudes = _two(q, _samples.coning2_increments(u0 + u1, (h0, h1)))
+    return attitudes[:4], attitudes[4:]
 
 
 @dataclass(frozen=True)
@@ -332,17 +332,14 @@ def _stepped(apply: Any, formula: Any) -> Callable[..., Any]:
     return step
 
 
-def _passes(iteration: Iteration, increments: bool) -> Recurrence:
+def _passes(iteration: Iteration, increments: bool) -> Callable[..., Any]:
     def step(q: Any, v: Any, h: Any) -> Any:
-        return iteration.begin(increments, v, h), ()
-
-    def again(state: Any, _: Any, *given: Any) -> Any:
-        return iteration.again(state)
-
-    def end(state: Any, _: Any, q: Any, *given: Any) -> Any:
+        state = iteration.begin(increments, v, h)
+        for _ in range(iteration.passes):
+            state = iteration.again(state)
         return tuple(products(q, iteration.read(state[:-1])))
 
-    return Recurrence(step, again, end, ((0.0,),) * iteration.passes)
+    return step
 
 
 def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:

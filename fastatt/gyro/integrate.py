@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import NO_TURN, beginning, integrate
+from fastatt.gyro.engine import NO_TURN, Samples, integrate
+from fastatt.gyro.intervals import intervals
 from fastatt.methods import METHODS, Method
-from fastatt.threads import number_of, progress_bar
+from fastatt.threads import number_of
 
-#: times the median: a longer interval is refused by default
-LONGEST = 10.0
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 # rad; products of two larger angles of a window may overflow, also in single precision
 _HUGE = 1e9
@@ -31,7 +30,6 @@ def integrate_rates(
     increments: bool = False,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
-    progress: bool = False,
     max_gap: float | None = None,
     out: NDArray[Any] | None = None,
 ) -> NDArray[Any]:
@@ -53,9 +51,8 @@ def integrate_rates(
     dtype : {float64, float32}, optional
         Precision; the default is float32 if ``rates`` is a float32 array, and float64 otherwise.
     n_threads : int, optional
-        Number of threads; the default is every processor. Results do not depend on it.
-    progress : bool, default False
-        Show a progress bar, which needs tqdm.
+        Number of threads for many logs; the default is every processor. Results do not depend on
+        it.
     max_gap : float, optional
         The longest interval that is accepted, s; the default is 10 times the median.
     out : ndarray, optional
@@ -117,27 +114,26 @@ def integrate_rates(
     shape = (count + 1, 4) if one else (n_logs, count + 1, 4)
     result = np.empty(shape, dtype=precision) if out is None else _output(out, shape, precision)
     out = result[None] if one else result
-    q = beginning(start, n_logs, precision)
-    if count == 0:
-        out[:, 0] = q[:, :4]
-        return result
-    run = functools.partial(integrate, record.window, increments, data, spans, out, q)
-    if progress:
-        with progress_bar(progress, n_logs * count, "sample") as done:
-            seen = run(n_threads=threads, done=done)
-    else:
-        seen = run(n_threads=threads)
+    samples = Samples(record, increments, data, spans)
+    seen = integrate(samples, out, start, threads)
     # a sample that is not finite affects every later attitude; the last one may be unused
-    if not (checks.all_finite(q, data[:, -1]) and is_finite(seen, out)):
+    if not (checks.all_finite(out[:, -1], data[:, -1]) and is_finite(seen, out)):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
-    warn_of_turns(seen, data, spans, record, increments)
+    warn_of_turns(seen, samples)
     return result
 
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Quaternions (4,) or (N, 4) of any norm above zero, normalised and without −0."""
-    return normalised(checks.attitudes(name, value).astype(np.float64)) + 0.0
+    q = checks.attitudes(name, value).astype(np.float64)
+    if q.ndim > 1:
+        return normalised(q) + 0.0
+    # numbers take less time than short arrays
+    largest = max(map(abs, q.tolist()))
+    a, b, c, d = (x / largest for x in q.tolist())
+    length = math.sqrt(a * a + b * b + c * c + d * d)
+    return np.array([x / length + 0.0 for x in (a, b, c, d)])
 
 
 def is_finite(seen: float, out: NDArray[Any]) -> bool:
@@ -150,21 +146,14 @@ def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
     return ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
 
 
-def warn_of_turns(
-    seen: float,
-    data: NDArray[Any],
-    spans: Any,
-    record: Method,
-    increments: bool,
-    *,
-    first: int = 0,
-) -> None:
+def warn_of_turns(seen: float, samples: Samples, *, first: int = 0) -> None:
     """Warn of an interval whose rotation angle exceeds the method's limit.
 
     ``seen`` is the largest component of an angle, over these samples or more; ``first`` is the
     index of the first interval in the message.
     """
-    limit = record.limits["increments" if increments else "rates"]
+    method, increments, data, spans, _ = samples
+    limit = method.limits["increments" if increments else "rates"]
     # |w| is at most √3 of its components
     if seen * math.sqrt(3.0) <= limit:
         return
@@ -176,31 +165,23 @@ def warn_of_turns(
     most = float(angle[log, k])
     if most > limit:
         rounding.warn(
-            f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {record.name}'s "
+            f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {method.name}'s "
             f"limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): "
-            f"sample at least {_times(most / limit)} times as often"
+            # with two digits, rounded up by what rounding may take off
+            f"sample at least {max(1.1, 1.05 * most / limit):.2g} times as often"
         )
 
 
-def _times(ratio: float) -> str:
-    """A ratio above 1 with two digits, rounded up by what rounding may take off."""
-    return f"{max(1.1, 1.05 * ratio):.2g}"
-
-
 @functools.cache
-def _named(increments: bool) -> dict[str, Method]:
+def methods_for_samples(increments: bool = False) -> dict[str, Method]:
+    """The methods for sampled rates, or for increments, by name."""
     scene = "increments" if increments else "sampled rates"
     return {m.name: m for m in METHODS.values() if scene in m.scenes}
 
 
-def methods_for_samples(increments: bool = False) -> list[str]:
-    """Names of the methods for sampled rates, or for increments."""
-    return list(_named(increments))
-
-
 def method_of(name: str, increments: bool) -> Method:
     """The method for samples of a name; raises ``ValueError`` for any other."""
-    named = _named(checks.flag("increments", increments))
+    named = methods_for_samples(checks.flag("increments", increments))
     if type(name) is not str or name not in named:
         name = checks.choice("method", name, named)
     return named[name]
@@ -215,41 +196,3 @@ def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any])
             "writable"
         )
     return out
-
-
-def largest_gap(max_gap: float | None) -> float:
-    """The longest interval that is accepted, s; None accepts any."""
-    if max_gap is None:
-        return math.inf
-    return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
-
-
-def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:
-    """The interval as a number of the precision, or an array of ``count`` intervals."""
-    given: Any = dt
-    longest = largest_gap(max_gap)
-    if isinstance(given, float) and 0.0 < given <= longest and given < math.inf:
-        return precision.type(given)
-    spans = checks.array("dt", dt, f"a number or ({count},)")
-    if spans.ndim == 0:
-        found = checks.above_zero("dt", spans, "an interval above 0")
-        if found > longest:
-            raise ValueError(f"dt: found {found}; accepted: at most {longest:.6g} s, max_gap")
-        return precision.type(found)
-    if not count:
-        return spans.astype(precision)
-    bad = spans <= 0.0
-    if bad.any():
-        k = int(np.argmax(bad))
-        what = "a repeated" if spans[k] == 0.0 else "a decreasing"
-        raise ValueError(f"dt[{k}] is {spans[k]}: {what} time stamp; accepted: intervals above 0")
-    if max_gap is None:
-        with np.errstate(over="ignore"):
-            longest = LONGEST * float(np.median(spans))
-    if spans.max() > longest:
-        k = int(np.argmax(spans))
-        raise ValueError(
-            f"dt[{k}] is {spans[k]}: a gap; accepted: at most {longest:.6g} s; cut the log there, "
-            "or pass max_gap to go across it"
-        )
-    return np.ascontiguousarray(spans, dtype=precision)

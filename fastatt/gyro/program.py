@@ -1,12 +1,12 @@
 """The windows of a method as a generated function over the lanes of a chunk.
 
-``run(part, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
-for each lane. ``part`` selects what is done:
+``run(action, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
+for each lane. ``action`` selects what is done:
 
-- ``SAMPLES``, ``INTERVALS``: the largest sizes of samples, or intervals, [first, last).
-- ``WINDOWS``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
-- ``PLACE``: attitudes [first, last) become p∘r, with p in the rows ``start`` of ``state``.
-- ``JOIN``: for the lanes [first, last), p at the start of the next chunk, ``next``, from ``start``
+- ``samples``, ``intervals``: the largest sizes of samples, or intervals, [first, last).
+- ``windows``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
+- ``place``: attitudes [first, last) become p∘r, with p in the rows ``start`` of ``state``.
+- ``join``: for the lanes [first, last), p at the start of the next chunk, ``next``, from ``start``
   and the rotation of this chunk, ``turned``.
 """
 
@@ -22,23 +22,14 @@ from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.gyro.loops import (
-    INTERVALS,
-    JOIN,
-    LANES,
-    PLACE,
-    ROWS,
-    SAMPLES,
-    WINDOWS,
-    Chunk,
-)
+from fastatt.gyro.loops import ACTIONS, LANES, ROWS, Chunk, WindowShape
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, choose
 from fastatt.tracing.trace import traceable
 
-_SAMPLES, _SPANS, _ATTITUDES, _STATE = range(4)
+_ARRAYS = ("samples", "spans", "attitudes", "state")
 _KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
 _CALL = "{name}(samples, spans, attitudes, state, {offsets})"
 _Formulas = dict[str, LaneFormula]
@@ -57,6 +48,14 @@ class GyroProgram(TwoForms):
         self.precision, self.kind = precision, _KINDS[precision]
         self._vector = processor().lanes(self.kind)
         self._state = ROWS.iteration
+        self.shape = WindowShape(
+            history=window.history,
+            span=window.span,
+            extra=not increments,
+            is_uneven=uneven,
+            by_interval=uneven and not increments,
+            near=0.0 if window.iteration else window.near,
+        )
         # an iteration has the same form for all angles
         super().__init__(one_form=window.iteration is not None)
 
@@ -71,13 +70,13 @@ class GyroProgram(TwoForms):
             formulas |= self._chain() | self._largest()
         text = "\n".join([*self._text(formulas), ""])
         shape = Shape(self.kind, LANES, self._vector)
-        made = LaneProgram(text, formulas, shape, (self.kind,) * 4)
-        return made.compiled()
+        lane_program = LaneProgram(text, formulas, shape, dict.fromkeys(_ARRAYS, self.kind))
+        return lane_program.compiled()
 
     def _text(self, formulas: _Formulas) -> Iterator[str]:
         lanes = f"for j in range(0, {LANES}, {self._vector}):"
-        yield "def run(part, samples, spans, attitudes, state, first, last):"
-        yield f"    if part == {WINDOWS}:"
+        yield "def run(action, samples, spans, attitudes, state, first, last):"
+        yield f"    if action == {ACTIONS.windows}:"
         yield f"        {lanes}"
         yield "            for n in range(first, last):"
         span = self.window.span * LANES
@@ -87,28 +86,29 @@ class GyroProgram(TwoForms):
         else:
             yield from _passes(self.window.iteration, at, self._state - 1, self._vector)
         if "place" in formulas:
-            for part, name in ((SAMPLES, "sample"), (INTERVALS, "interval")):
+            for action, name in ((ACTIONS.samples, "sample"), (ACTIONS.intervals, "interval")):
                 at = f"i * {3 * LANES} + j, i * {LANES} + j, j, j"
-                yield f"    if part == {part}:"
+                yield f"    if action == {action}:"
                 yield "        for i in range(first, last):"
                 yield f"            {lanes} {_CALL.format(name=name, offsets=at)}"
-            yield f"    if part == {PLACE}:"
+            yield f"    if action == {ACTIONS.place}:"
             yield "        for i in range(first, last):"
             place = _CALL.format(name="place", offsets=f"j, j, i * {4 * LANES} + j, j")
             yield f"            {lanes} {place}"
             join = _CALL.format(name="join", offsets="j, j, j, j")
-            yield f"    if part == {JOIN}:"
+            yield f"    if action == {ACTIONS.join}:"
             yield f"        for j in range(first, last): {join}"
 
     # the formulas
 
     def _formula(
-        self, flat: Flat, array: int, first: int, rows: Sequence[int] | None = None, lanes: int = 0
+        self, flat: Flat, array: str, first: int, rows: Sequence[int] | None = None, lanes: int = 0
     ) -> LaneFormula:
         """A formula; its results go to ``rows`` from the first on, or to these rows in order."""
         begin = {
-            "v": (_SAMPLES, 0), "h": (_SPANS, 0), "q": (_ATTITUDES, 0), "p": (_STATE, ROWS.start),
-            "turned": (_STATE, ROWS.turned), "state": (_STATE, ROWS.iteration),
+            "v": ("samples", 0), "h": ("spans", 0), "q": ("attitudes", 0),
+            "p": ("state", ROWS.start), "turned": ("state", ROWS.turned),
+            "state": ("state", ROWS.iteration),
         }  # fmt: skip
 
         def place(group: str, i: int) -> Place:
@@ -128,8 +128,8 @@ class GyroProgram(TwoForms):
         p, turned = (join.inputs(self.kind, name, 4) for name in ("p", "turned"))
         joined = Flat(join, traceable(quat.renormalise)(tuple(products(p, turned))), self.kind)
         return {
-            "place": self._formula(placed, _ATTITUDES, 0),
-            "join": self._formula(joined, _STATE, ROWS.next, lanes=1),
+            "place": self._formula(placed, "attitudes", 0),
+            "join": self._formula(joined, "state", ROWS.next, lanes=1),
         }
 
     def _largest(self) -> _Formulas:
@@ -140,7 +140,7 @@ class GyroProgram(TwoForms):
             sizes = map(abs, graph.inputs(self.kind, group, n))
             # NaN is ignored
             most = functools.reduce(lambda x, y: choose(y > x, y, x), sizes, 0.0)
-            formula = self._formula(Flat(graph, (most,), self.kind), _STATE, getattr(ROWS, name))
+            formula = self._formula(Flat(graph, (most,), self.kind), "state", getattr(ROWS, name))
             formulas[name] = formula._replace(largest=0)
         return formulas
 
@@ -152,8 +152,8 @@ class GyroProgram(TwoForms):
         vectors = traceable(self.window.formula(self.increments))(*self._given(graph))
         exp = traceable(quat.exp_short if small_angle else quat.exp)
         turned = [x for i in range(0, len(vectors), 3) for x in exp(vectors[i : i + 3])]
-        found = products(graph.inputs(self.kind, "q", 4), turned)
-        return {"window": self._formula(Flat(graph, found, self.kind), _ATTITUDES, 4)}
+        attitudes = products(graph.inputs(self.kind, "q", 4), turned)
+        return {"window": self._formula(Flat(graph, attitudes, self.kind), "attitudes", 4)}
 
     def _iterated(self, iteration: Iteration) -> _Formulas:
         begin, again, end = Graph(), Graph(), Graph()
@@ -163,13 +163,13 @@ class GyroProgram(TwoForms):
         before = again.inputs(self.kind, "state", size)
         after = iteration.again(before)
         changed = [i for i in range(size) if after[i] is not before[i]]
-        found = iteration.read(end.inputs(self.kind, "state", size)[:-1])
-        read = products(end.inputs(self.kind, "q", 4), found)
+        turns = iteration.read(end.inputs(self.kind, "state", size)[:-1])
+        read = products(end.inputs(self.kind, "q", 4), turns)
         improved = Flat(again, [after[i] for i in changed], self.kind)
         return {
-            "begin": self._formula(Flat(begin, state, self.kind), _STATE, ROWS.iteration),
-            "improve": self._formula(improved, _STATE, ROWS.iteration, changed),
-            "read": self._formula(Flat(end, read, self.kind), _ATTITUDES, 4),
+            "begin": self._formula(Flat(begin, state, self.kind), "state", ROWS.iteration),
+            "improve": self._formula(improved, "state", ROWS.iteration, changed),
+            "read": self._formula(Flat(end, read, self.kind), "attitudes", 4),
         }
 
     def _given(self, graph: Graph) -> tuple[Any, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from typing import Any
 
@@ -11,21 +10,19 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
-from fastatt.gyro.engine import GyroRun, beginning, finish
-from fastatt.gyro.gaps import RECENT, cuts
+from fastatt.gyro.engine import Samples, advance, beginning
 from fastatt.gyro.integrate import (
-    LONGEST,
-    intervals,
     is_finite,
-    largest_gap,
     method_of,
     overflow,
     unit_quaternions,
     warn_of_turns,
 )
-from fastatt.methods import METHODS
+from fastatt.gyro.intervals import GAP, RECENT, cuts, intervals, largest_gap, stretches
 from fastatt.methods.windows import CHUNK
 from fastatt.threads import number_of
+
+Array = NDArray[Any]
 
 
 class GyroIntegrator:
@@ -87,24 +84,22 @@ class GyroIntegrator:
         max_gap: float | None = None,
     ) -> None:
         self._lock = threading.Lock()
-        record = method_of(method, increments)
-        self._method = record.name
+        self._method = method_of(method, increments)
         self._increments = increments
         start = unit_quaternions("q0", q0)
         self._one = start.ndim == 1
-        self._start = np.atleast_2d(start)
+        self._last = np.atleast_2d(start)  # attitude
         self._max_gap, self._warns = largest_gap(max_gap), max_gap is None
         self._dt = dt
         if dt is not None:
             self._dt = intervals(checks.real("dt", dt), 0, max_gap, np.dtype("f8"))
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
-        self._begun = self._closed = False
-        # intervals given; done since the last cut, and before it; of those done, how many the kept
-        # samples and intervals cover
-        self._given = self._done = self._before = self._lead = 0
-        self._samples: NDArray[Any] = np.empty((0, 0, 3))
-        self._spans = self._q = self._last = self._recent = np.empty(0)
+        self._closed = False
+        # those of the window before, and those that were not integrated; p and r before these
+        self._kept: Samples | None = None
+        self._q = self._recent = np.empty(0)
+        self._done = self._before = 0  # intervals integrated since the last cut, and before it
 
     def __getstate__(self) -> dict[str, Any]:
         with self._lock:
@@ -114,28 +109,25 @@ class GyroIntegrator:
         self.__dict__.update(state, _lock=threading.Lock())
 
     @property
-    def q(self) -> NDArray[Any]:
+    def q(self) -> Array:
         """Last attitude that was returned, (4,) or (N, 4); q0 before the first push.
 
         To correct it, for example with the update of a filter, assign an attitude of any norm above
         zero. Later attitudes follow from the assigned one.
         """
         with self._lock:
-            last = self._last if self._begun else self._start
-        return np.array(last[0] if self._one else last)
+            return np.array(self._last[0] if self._one else self._last)
 
     @q.setter
     def q(self, value: ArrayLike) -> None:
-        accepted = "(4,)" if self._one else f"(4,) or ({len(self._start)}, 4)"
+        accepted = "(4,)" if self._one else f"(4,) or ({len(self._last)}, 4)"
         with self._lock:
             self._check_open()
-            given = unit_quaternions("q", checks.attitudes("q", value, accepted))
-            self._start = np.tile(given, (len(self._start), 1)) if given.ndim == 1 else given
-            if self._begun:
-                self._last = self._start.astype(self._last.dtype)
-                self._q = beginning(self._start, len(self._start), self._last.dtype)
+            unit = unit_quaternions("q", checks.attitudes("q", value, accepted))
+            self._last = np.broadcast_to(unit, self._last.shape).astype(self._last.dtype)
+            self._q = beginning(unit, len(self._last), self._last.dtype)
 
-    def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> NDArray[Any]:
+    def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> Array:
         """Add samples, and return the attitudes that they complete.
 
         Parameters
@@ -166,24 +158,24 @@ class GyroIntegrator:
         with self._lock:
             return self._pushed(rates, dt)
 
-    def _pushed(self, rates: ArrayLike, dt: ArrayLike | None) -> NDArray[Any]:
+    def _pushed(self, rates: ArrayLike, dt: ArrayLike | None) -> Array:
         self._check_open()
-        n_logs, increments = len(self._start), self._increments
+        n_logs, increments = len(self._last), self._increments
         accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
-        given = checks.array("rates", rates, accepted)
+        numbers = checks.array("rates", rates, accepted)
         precision = self._precision or checks.precision(None, rates)
-        samples = given.astype(precision).reshape(n_logs, -1, 3)
+        samples = numbers.astype(precision).reshape(n_logs, -1, 3)
         n = samples.shape[1]
-        spans = self._intervals(dt, n if self._begun or increments else n - 1, precision)
+        spans = self._intervals(dt, n if self._kept or increments else n - 1, precision)
         kept = self.__dict__.copy()
         try:
-            found = self._through_cuts(samples, spans)
+            attitudes = self._through_cuts(samples, spans)
         except BaseException:
             self.__dict__.update(kept)
             raise
-        return found[0] if self._one else found
+        return attitudes[0] if self._one else attitudes
 
-    def close(self) -> NDArray[Any]:
+    def close(self) -> Array:
         """End the log and return the remaining attitudes.
 
         Returns
@@ -199,73 +191,69 @@ class GyroIntegrator:
         with self._lock:
             self._check_open()
             self._closed = True
-            found = self._rest() if self._begun else np.empty((len(self._start), 0, 4))
-        return found[0] if self._one else found
+            attitudes = self._rest()
+        return attitudes[0] if self._one else attitudes
 
-    def _through_cuts(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
+    def _through_cuts(self, data: Array, spans: Any) -> Array:
         """The attitudes that are final after further samples; windows begin anew at cuts."""
-        late = not (self._begun or self._increments)  # the very first rate ends no interval
-        parts, done = [], 0
-        window = METHODS[self._method].window
+        extra = not (self._kept or self._increments)  # the very first rate ends no interval
+        window, places = self._method.window, []
         for k, usual in cuts(window.uneven, spans, self._recent):
-            if self._warns and spans[k] > LONGEST * usual:
+            if self._warns and spans[k] > GAP * usual:
+                pending = self._kept.n_intervals if self._kept else 0
+                index = self._before + self._done + pending + k
                 rounding.warn(
-                    f"dt: interval {self._given + k} of {spans[k]:.3g} s is a gap, "
+                    f"dt: interval {index} of {spans[k]:.3g} s is a gap, "
                     f"{spans[k] / usual:.2g} times the median of the {RECENT} before: correct the "
                     "attitude after it, or pass max_gap to accept it"
                 )
-            if window.intervals > 1:
-                parts += [(done, k), (k, k + 1)]
-                done = k + 1
-        parts.append((done, len(spans) if np.ndim(spans) else samples.shape[1] - late))
-        found, at = [], 0
-        for i, (first, last) in enumerate(parts):
-            if i:
-                found.append(self._rest())
-                self._begin_anew()
-            if last > first or not i:
-                own = samples[:, at : last + late]
-                found.append(self._take(own, spans[first:last] if np.ndim(spans) else spans))
-                at = last + late
-        if np.ndim(spans):
+            places += [k] if window.intervals > 1 else []
+        attitudes = []
+        for first, last in stretches(places, data.shape[1] - extra) or [(0, 0)]:
+            if first in places:
+                attitudes.append(self._begun_anew())
+            part = data[:, first + (extra and first > 0) : last + extra]
+            attitudes.append(self._taken(part, spans[first:last] if self._dt is None else spans))
+            if first in places:
+                attitudes.append(self._begun_anew())
+        if self._dt is None:
             self._recent = np.concatenate((self._recent, spans))[-RECENT:]
-            self._given += len(spans)
-        return np.concatenate(found, axis=1)
+        return np.concatenate(attitudes, axis=1)
 
-    def _take(self, samples: NDArray[Any], spans: Any) -> NDArray[Any]:
+    def _taken(self, data: Array, spans: Any) -> Array:
         """The attitudes that are final after further samples, without a cut."""
-        q = self._q
-        if self._begun:
-            samples = np.concatenate((self._samples, samples), axis=1)
+        kept, lead = self._kept, 0
+        if kept is None:
+            self._q = beginning(self._last, len(data), data.dtype)
         else:
-            q = beginning(self._start, len(samples), samples.dtype)
-        if np.ndim(spans):
-            spans = np.concatenate((self._spans, spans), dtype=samples.dtype)
-        window = METHODS[self._method].window
-        known = samples.shape[1] - self._lead - (not self._increments)
-        count = known - known % window.span
+            data, lead = np.concatenate((kept.data, data), axis=1), kept.lead
+            if self._dt is None:
+                spans = np.concatenate((kept.spans, spans), dtype=data.dtype)
+        samples = Samples(self._method, self._increments, data, spans, lead)
+        window = samples.window
+        count = samples.n_intervals // window.span * window.span
         # samples before the first window are extrapolated from the first ones
-        least = window.samples(self._increments)
-        if not self._done and window.history and samples.shape[1] < least:
+        if not self._done and window.history and data.shape[1] < window.samples(self._increments):
             count = 0
-        return self._advanced(samples, spans, q, count)
+        return self._advanced(samples, count)
 
-    def _rest(self) -> NDArray[Any]:
+    def _rest(self) -> Array:
         """The attitudes at all samples so far, at the end of a log or before a cut."""
-        count = self._samples.shape[1] - self._lead - (not self._increments)
-        return self._advanced(self._samples, self._spans, self._q, count, end=True)
+        if self._kept is None:
+            return np.empty((len(self._last), 0, 4))
+        return self._advanced(self._kept, self._kept.n_intervals)
 
-    def _begin_anew(self) -> None:
-        """Begin the windows at the last sample, unless they just began there."""
-        if not self._done:
-            return
-        self._before += self._done
-        self._done = self._lead = 0
-        last = self._samples.shape[1]
-        self._samples = self._samples[:, last - (not self._increments) :]
-        self._spans = self._spans if self._dt is not None else self._spans[:0]
-        self._last = normalised(self._last)
-        self._q = beginning(self._last, len(self._last), self._last.dtype)
+    def _begun_anew(self) -> Array:
+        """The attitudes at all samples so far; the windows begin at the last one."""
+        attitudes, kept = self._rest(), self._kept
+        if self._done and kept:
+            data = kept.data[:, kept.data.shape[1] - (not self._increments) :]
+            spans = kept.spans[:0] if self._dt is None else kept.spans
+            self._kept = kept._replace(data=data, spans=spans, lead=0)
+            self._before, self._done = self._before + self._done, 0
+            self._last = normalised(self._last)
+            self._q = beginning(self._last, len(self._last), self._last.dtype)
+        return attitudes
 
     def _check_open(self) -> None:
         if self._closed:
@@ -286,39 +274,23 @@ class GyroIntegrator:
             )
         if dt is None:
             return np.empty(0, dtype=precision)
-        return np.broadcast_to(intervals(dt, count, self._max_gap, precision), count)
+        return np.full(count, intervals(dt, count, self._max_gap, precision), dtype=precision)
 
-    def _advanced(
-        self, samples: NDArray[Any], spans: Any, q: NDArray[Any], count: int, *, end: bool = False
-    ) -> NDArray[Any]:
-        """The next ``count`` attitudes; the samples that later ones need are kept.
-
-        ``end`` says that no sample follows.
-        """
-        record, increments = METHODS[self._method], self._increments
-        window, lead, n_logs = record.window, self._lead, len(samples)
-        out = np.empty((n_logs, count + 1, 4), dtype=samples.dtype)
-        q, seen = q.copy(), 0.0
-        if not count or (window.iteration and end):
-            out[:, 0] = self._last if self._begun else q[:, :4]
-            if count:
-                seen = math.inf
-                finish(window, increments, samples, spans, out)
-        else:
-            run = GyroRun(window, increments, samples, spans, out, lead)
-            seen = run.carry(q, phase=self._done % CHUNK, n_threads=self._threads)
+    def _advanced(self, samples: Samples, count: int) -> Array:
+        """The next ``count`` attitudes; the samples that later ones need are kept."""
+        lead, window, precision = samples.lead, samples.window, samples.data.dtype
+        out = np.empty((len(self._last), count + 1, 4), precision)
+        out[:, 0] = self._last
+        q, phase = self._q.copy(), self._done % CHUNK
+        seen = advance(samples, out, q, phase=phase, n_threads=self._threads)
         if not (checks.all_finite(out[:, -1]) and is_finite(seen, out)):
-            raise overflow("rates", samples.dtype)
-        own = samples[:, lead : lead + count + (not increments)]
-        apart = spans if self._dt is not None else spans[lead : lead + count]
-        before = self._before + self._done
-        warn_of_turns(seen, own, apart, record, increments, first=before)
-        found = out[:, self._begun :]
+            raise overflow("rates", precision)
+        warn_of_turns(seen, samples.between(lead, lead + count), first=self._before + self._done)
+        attitudes = out[:, self._kept is not None :]
         self._done += count
         # those of a window, which the end of a log needs
-        self._lead = min(self._done, window.intervals)
-        first = lead + count - self._lead
-        self._samples, self._precision = samples[:, first:].copy(), samples.dtype
-        self._spans = spans if self._dt is not None else spans[first:]
-        self._q, self._last, self._begun = q, out[:, -1].copy(), True
-        return found
+        needed = min(self._done, window.intervals)
+        kept = samples.between(lead + count - needed, lead + samples.n_intervals)
+        self._kept = kept._replace(data=kept.data.copy(), lead=needed)
+        self._q, self._last, self._precision = q, out[:, -1].copy(), precision
+        return attitudes

@@ -133,10 +133,11 @@ class Aem:
         checks.choice("version", self.version, _TYPES)
         segments = checks.several("segments", self.segments, "AemSegment")
         if not segments or not all(isinstance(x, AemSegment) for x in segments):
-            found = checks.brief(self.segments)
-            raise ValueError(f"segments: found {found}; accepted: one AemSegment or more")
+            raise ValueError(
+                f"segments: found {checks.brief(segments)}; accepted: one AemSegment or several"
+            )
         lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
-        lines += _assignments("header", self.header, _HEADER)
+        lines += _assignments(_keywords("header", self.header, _HEADER))
         for k, segment in enumerate(segments):
             lines += ["", *_block(segment, self.version, f"segments[{k}]")]
         return "\n".join(lines) + "\n"
@@ -188,12 +189,13 @@ def read_aem(path: str | Path) -> Aem:
     >>> import tempfile
     >>> from pathlib import Path
     >>> import fastatt as fa
+    >>> from fastatt import interchange
     >>> scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 0.1)))
     >>> run = fa.propagate(scene, [1, 0, 0, 0], dt=1.0, n_steps=2, save_every=1, t0=1.7e9)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "attitude.aem"
     ...     run.to_aem(path, epoch="unix", frame="ICRF")
-    ...     aem = fa.interchange.read_aem(path)
+    ...     aem = interchange.read_aem(path)
     >>> aem.segments[0].q.shape
     (3, 4)
     """
@@ -294,8 +296,8 @@ def _segment(about: _Section, data: _Section, version: str) -> AemSegment:
 def _checked_times(tags: list[str], metadata: Mapping[str, str]) -> NDArray[np.float64]:
     """Seconds since the first of a block's time tags, which rise within the block's span."""
     span = [metadata["START_TIME"], metadata["STOP_TIME"]]
-    found = epochs.seconds_since(tags[0], [*tags, *span], leaps=epochs.has_leaps(metadata))
-    t, (start, stop) = found[:-2], found[-2:]
+    times = epochs.seconds_since(tags[0], [*tags, *span], leaps=epochs.has_leaps(metadata))
+    t, (start, stop) = times[:-2], times[-2:]
     falls = np.flatnonzero(np.diff(t) <= 0.0)
     if falls.size:
         raise ValueError(f"time {tags[falls[0] + 1]} does not rise; accepted: rising times")
@@ -313,15 +315,16 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     q = checks.attitudes(f"{name}.q", segment.q, f"({t.size}, 4)")
     tags = epochs.tags(segment.epoch, t, leaps=epochs.has_leaps(segment.metadata))
     metadata = {"START_TIME": tags[0], "STOP_TIME": tags[-1], **segment.metadata}
+    metadata = _keywords(f"{name}.metadata", metadata, _METADATA)
     with _prefixed(f"{name}.metadata"):
         layout = _Layout(metadata, version)
-    given: Any = [] if segment.w is None else segment.w
-    w = checks.array(f"{name}.w", given, f"({t.size}, 3)") if layout.count > 4 else None
+    rates: Any = [] if segment.w is None else segment.w
+    w = checks.array(f"{name}.w", rates, f"({t.size}, 3)") if layout.count > 4 else None
     with _prefixed(f"{name}.t"):
         _checked_times(tags, metadata)
     yield "META_START"
     yield from _comments(segment.comments)
-    yield from _assignments(f"{name}.metadata", metadata, _METADATA)
+    yield from _assignments(metadata)
     yield from ("META_STOP", "", "DATA_START")
     with np.errstate(over="ignore"):
         rows = layout.written(q, w)
@@ -406,16 +409,18 @@ def _one_line(name: str, value: Any) -> str:
     raise ValueError(f"{name}: found {checks.brief(value)}; accepted: a line of ASCII text")
 
 
-def _assignments(name: str, values: Mapping[str, str], known: tuple[str, ...]) -> Iterator[str]:
-    """Lines in the standard's order."""
+def _keywords(name: str, values: Any, known: tuple[str, ...]) -> dict[str, str]:
+    """Values by keyword in the standard's order."""
     if not isinstance(values, Mapping):
         raise TypeError(f"{name}: found {checks.brief(values)}; accepted: a mapping of str to str")
-    unknown = [key for key in values if key not in known]
+    unknown = [str(key) for key in values if key not in known]
     if unknown:
         raise ValueError(f"{name}: found {', '.join(unknown)}; accepted: {', '.join(known)}")
-    for key in known:
-        if key in values:
-            yield f"{key} = {_one_line(f'{name} {key}', values[key])}"
+    return {key: _one_line(f"{name} {key}", values[key]) for key in known if key in values}
+
+
+def _assignments(values: Mapping[str, str]) -> list[str]:
+    return [f"{key} = {value}" for key, value in values.items()]
 
 
 def _number(x: float) -> str:
@@ -451,11 +456,11 @@ def aem_of(
     }
     if kind == types[-1]:
         said[_RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
-    said |= _keywords("metadata", metadata)
-    inertial, own = said["REF_FRAME_A"].upper(), said["REF_FRAME_B"].upper()
-    if _ROTATES.match(inertial) or inertial == own:
+    said |= _keywords("metadata", metadata or {}, _METADATA)
+    a, b = said["REF_FRAME_A"].upper(), said["REF_FRAME_B"].upper()
+    if _ROTATES.match(a) or a == b:
         raise ValueError(
-            f"frame: found {inertial}, with {own} for the body; accepted: an inertial frame such "
+            f"frame: found {a}, with {b} for the body; accepted: an inertial frame such "
             "as EME2000 or ICRF, from which a run has its attitudes and rates"
         )
     n = run.status.size
@@ -467,16 +472,7 @@ def aem_of(
     q, w = ((x if run.one_body else x[:, k]).astype(np.float64) for x in (run.q, run.w))
     begin, t = epochs.of_run(epoch, run.t, said["TIME_SYSTEM"])
     first = {"CREATION_DATE": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")}
-    first |= {"ORIGINATOR": "FASTATT", **_keywords("header", header)}
+    first |= {"ORIGINATOR": "FASTATT", **_keywords("header", header or {}, _HEADER)}
     direction, order = ({**_FIXED, **said}[key] for key in _FIXED)
     comment = f"quaternions: scalar {order.lower()}, {direction} of REF_FRAME_A and REF_FRAME_B"
     return Aem(version, first, (AemSegment(begin, t, q, w, said, (comment,)),))
-
-
-def _keywords(name: str, given: Mapping[str, str] | None) -> Mapping[str, str]:
-    found = {} if given is None else given
-    if not isinstance(found, Mapping):
-        raise TypeError(f"{name}: found {checks.brief(found)}; accepted: a mapping of str to str")
-    for key, value in found.items():
-        _one_line(f"{name} {_one_line(f'{name}: a keyword', key)}", value)
-    return found

@@ -32,8 +32,8 @@ def to_scalar_last(q: ArrayLike) -> NDArray[Any]:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.interchange.to_scalar_last([1.0, 0.0, 0.0, 0.5]).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.to_scalar_last([1.0, 0.0, 0.0, 0.5]).tolist()
     [0.0, 0.0, 0.5, 1.0]
     """
     return np.roll(floats("q", q, (4,)), -1, axis=-1)
@@ -54,8 +54,8 @@ def from_scalar_last(q: ArrayLike) -> NDArray[Any]:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.interchange.from_scalar_last([0.0, 0.0, 0.5, 1.0]).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.from_scalar_last([0.0, 0.0, 0.5, 1.0]).tolist()
     [1.0, 0.0, 0.0, 0.5]
     """
     return np.roll(floats("q", q, (4,)), 1, axis=-1)
@@ -83,19 +83,19 @@ def to_scipy(q: ArrayLike) -> Rotation:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.to_scipy([1.0, 0.0, 0.0, 1.0]).apply([1.0, 0.0, 0.0]).round(6).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.to_scipy([1.0, 0.0, 0.0, 1.0]).apply([1.0, 0.0, 0.0]).round(6).tolist()
     [0.0, 1.0, 0.0]
     """
-    from scipy.spatial.transform import Rotation
-
-    found = floats("q", q, (4,))
-    checks.finite("q", found)
-    if not found.any(axis=-1).all():
+    transform = checks.optional("to_scipy", "scipy.spatial.transform", "scipy")
+    rows = floats("q", q, (4,))
+    checks.finite("q", rows)
+    if not rows.any(axis=-1).all():
         raise ValueError("q: found a zero quaternion; accepted: of any other length")
     # by a power of 2, since SciPy takes denormal numbers for zero
-    exponent = np.frexp(np.abs(found).max(axis=-1, keepdims=True))[1]
-    return Rotation.from_quat(to_scalar_last(np.ldexp(found, -exponent)))
+    exponent = np.frexp(np.abs(rows).max(axis=-1, keepdims=True))[1]
+    rotations: Rotation = transform.Rotation.from_quat(to_scalar_last(np.ldexp(rows, -exponent)))
+    return rotations
 
 
 def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
@@ -119,8 +119,8 @@ def from_scipy(rotation: Rotation) -> NDArray[np.float64]:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.from_scipy(fa.to_scipy([0.6, 0.0, 0.0, 0.8])).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.from_scipy(interchange.to_scipy([0.6, 0.0, 0.0, 0.8])).tolist()
     [0.6, 0.0, 0.0, 0.8]
     """
     if not hasattr(rotation, "as_quat"):
@@ -154,8 +154,8 @@ def to_jpl(q: ArrayLike) -> NDArray[Any]:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.interchange.to_jpl([0.8, 0.0, 0.6, 0.0]).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.to_jpl([0.8, 0.0, 0.6, 0.0]).tolist()
     [0.0, 0.6, 0.0, 0.8]
     """
     return to_scalar_last(q)
@@ -176,8 +176,8 @@ def from_jpl(q: ArrayLike) -> NDArray[Any]:
 
     Examples
     --------
-    >>> import fastatt as fa
-    >>> fa.interchange.from_jpl([0.0, 0.6, 0.0, 0.8]).tolist()
+    >>> from fastatt import interchange
+    >>> interchange.from_jpl([0.0, 0.6, 0.0, 0.8]).tolist()
     [0.8, 0.0, 0.6, 0.0]
     """
     return from_scalar_last(q)

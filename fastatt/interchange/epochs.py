@@ -120,20 +120,19 @@ def _leaps_before(day: int) -> int:
 
 def _count(tag: str, *, leaps: bool) -> Decimal:
     """Seconds since the start of the calendar."""
-    found = _TAG.fullmatch(tag)
+    match = _TAG.fullmatch(tag)
     try:
-        if found is None:
+        if match is None:
             raise ValueError
-        year, of_month, of_year, hour, minute, second = found.groups()
+        year, of_month, of_year, hour, minute, second = match.groups()
         begin = date.fromisoformat(f"{year}-{of_month or '01-01'}")
         day = begin.toordinal() + int(of_year or 1) - 1
         within = 3600 * int(hour) + 60 * int(minute) + Decimal(second)
-        # a second 60 occurs only in the last minute of such a day
-        is_last = hour == "23" and minute == "59"
         length = _DAY + (leaps and day in _LEAPS)
         if date.fromordinal(day).year != begin.year or within >= length:
             raise ValueError
-        if Decimal(second) >= 60 and not is_last:
+        # a second 60 occurs only in the last minute of such a day
+        if Decimal(second) >= 60 and (hour, minute) != ("23", "59"):
             raise ValueError
     except ValueError:
         raise ValueError(f"time: found {tag}; accepted: {_ACCEPTED}") from None

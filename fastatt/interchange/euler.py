@@ -51,8 +51,8 @@ def euler_to_quat(angles: ArrayLike, sequence: str) -> NDArray[Any]:
     >>> fa.euler_to_quat(np.radians([90.0, 0.0, 0.0]), "ZYX").round(3)
     array([0.707, 0.   , 0.   , 0.707])
     """
-    found = arrays.angles_of("angles", angles, arrays.each_shorter)
-    return arrays.on_rows(_to_quat(_known(sequence)), found, after=4)
+    rows = arrays.angles_of("angles", angles, arrays.each_shorter)
+    return arrays.on_rows(_to_quat(_known(sequence)), rows, after=4)
 
 
 def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
@@ -93,8 +93,8 @@ def quat_to_euler(q: ArrayLike, sequence: str) -> NDArray[Any]:
     >>> fa.quat_to_euler([1.0, 0.0, 0.0, 1.0], "ZYX").round(3)
     array([1.571, 0.   , 0.   ])
     """
-    found = arrays.floats("q", q, (4,))
-    return arrays.on_rows(_from_quat(_known(sequence)), found, after=3)
+    rows = arrays.floats("q", q, (4,))
+    return arrays.on_rows(_from_quat(_known(sequence)), rows, after=3)
 
 
 def _known(sequence: Any) -> str:
@@ -136,6 +136,7 @@ def _from_quat(sequence: str) -> Any:
     is_proper = i == k
     k = 3 - i - j
     sign = (i - j) * (j - k) * (k - i) / 2
+    side = 1.0 if is_intrinsic else -1.0
 
     def formula(q: Vector) -> Any:
         unit = quat.normalise(q)
@@ -144,21 +145,17 @@ def _from_quat(sequence: str) -> Any:
         cosine = apply("sqrt", a * a + b * b)
         sine = apply("sqrt", c * c + d * d)
         middle = 2.0 * trig.atan2(sine, cosine)
-        half_sum, half_difference = trig.atan2(b, a), trig.atan2(d, c)
-        first, third = half_sum - half_difference, half_sum + half_difference
+        half_sum, half_difference = trig.atan2(b, a), side * trig.atan2(d, c)
         # below eight ulps of the other
         at_least = cosine + 0.0625 * sine <= cosine
         at_most = sine + 0.0625 * cosine <= sine
-        if is_intrinsic:
-            third = choose(at_least, 2.0 * half_sum, choose(at_most, 2.0 * half_difference, third))
-            first = choose(at_least, 0.0, choose(at_most, 0.0, first))
-        else:
-            first = choose(at_least, 2.0 * half_sum, choose(at_most, -2.0 * half_difference, first))
-            third = choose(at_least, 0.0, choose(at_most, 0.0, third))
+        first, last = half_sum + half_difference, half_sum - half_difference
+        first = choose(at_least, 2.0 * half_sum, choose(at_most, 2.0 * half_difference, first))
+        last = choose(at_least, 0.0, choose(at_most, 0.0, last))
         if not is_proper:
-            middle, third = middle - 0.5 * math.pi, sign * third
-        first, third = _wrapped(first), _wrapped(third)
-        return (third, middle, first) if is_intrinsic else (first, middle, third)
+            middle = middle - 0.5 * math.pi
+            first, last = (sign * first, last) if is_intrinsic else (first, sign * last)
+        return _wrapped(first), middle, _wrapped(last)
 
     return formula
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import html
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks
-from fastatt.files import writing
+from fastatt import checks, files
 
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
@@ -40,19 +39,19 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
     shape = q.shape[:-1]
     # read-only views, so that shared values are not copied
     t = run.t.reshape(-1, *[1] * (q.ndim - 2))
-    found: dict[str, NDArray[Any]] = {"t": np.broadcast_to(t, shape)}
+    values: dict[str, NDArray[Any]] = {"t": np.broadcast_to(t, shape)}
     if not run.one_body:
-        found["body"] = np.broadcast_to(np.arange(shape[1]), shape)
-    found |= {f"q{k}": q[..., k] for k in range(4)}
+        values["body"] = np.broadcast_to(np.arange(shape[1]), shape)
+    values |= {f"q{k}": q[..., k] for k in range(4)}
     for name in ("w", "v", "r"):
         if name == "w" or name in run.carried:
-            value = getattr(run, name)
-            found |= {f"{name}{axis}": value[..., k] for k, axis in enumerate("xyz")}
+            vector = getattr(run, name)
+            values |= {f"{name}{axis}": vector[..., k] for k, axis in enumerate("xyz")}
     if "s" in run.carried:
-        found |= {f"s{k}": run.s[..., k] for k in range(run.s.shape[-1])}
+        values |= {f"s{k}": run.s[..., k] for k in range(run.s.shape[-1])}
     status = run.status[0] if run.one_body else run.status
-    found["status"] = np.broadcast_to(status, shape)
-    return found
+    values["status"] = np.broadcast_to(status, shape)
+    return values
 
 
 def write_csv(run: Trajectory, path: str | Path) -> None:
@@ -79,13 +78,11 @@ def write_csv(run: Trajectory, path: str | Path) -> None:
     """
     table = columns(run)
     saves = max(1, _ROWS // run.status.size)
-    with writing("path", path, text="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table)
-        for a in range(0, len(run.t), saves):
-            # the text of Python's floats is the shortest from which the same number is read
-            part = [x[a : a + saves].ravel().tolist() for x in table.values()]
-            writer.writerows(zip(*part, strict=True))
+    parts = (
+        zip(*(x[a : a + saves].ravel().tolist() for x in table.values()), strict=True)
+        for a in range(0, len(run.t), saves)
+    )
+    files.write_csv("path", path, table, chain.from_iterable(parts))
 
 
 def dataframe(run: Trajectory) -> Any:
@@ -106,9 +103,8 @@ def dataframe(run: Trajectory) -> Any:
     ImportError
         If pandas is not installed.
     """
-    import pandas as pd
-
-    return pd.DataFrame({name: x.ravel() for name, x in columns(run).items()})
+    pandas = checks.optional("to_dataframe", "pandas", "fastatt[logs]")
+    return pandas.DataFrame({name: x.ravel() for name, x in columns(run).items()})
 
 
 def table(run: Trajectory) -> str:

@@ -1,9 +1,8 @@
 """Scalar kernels on floats and tuples, for Python, for jitted code and for the compiled loops.
 
 Every kernel is a pure function from tuples to tuples, without allocation and branches, and keeps
-float64 or float32. The modules ``compensated``, ``elliptic`` and ``moser_veselov``, and the
-functions of ``free_body``, ``heavy_top`` and ``trig`` that these do not list in ``__all__``, are
-building blocks of the others.
+float64 or float32. The modules ``quat``, ``dcm``, ``so3``, ``vec3``, ``rigid`` and ``euler313``
+are for users; the others are the library's own.
 """
 
 from __future__ import annotations
@@ -14,32 +13,9 @@ from typing import TYPE_CHECKING, Any
 from fastatt import checks
 
 if TYPE_CHECKING:
-    from fastatt.kernels import (
-        axis_angle,
-        compensated,
-        coning,
-        dcm,
-        elliptic,
-        error_state,
-        euler313,
-        free_body,
-        heavy_top,
-        moser_veselov,
-        mrp,
-        quat,
-        rigid,
-        so3,
-        sym3,
-        trig,
-        two_rows,
-        vec3,
-    )
+    from fastatt.kernels import dcm, euler313, quat, rigid, so3, vec3
 
-__all__ = [
-    "axis_angle", "compensated", "coning", "dcm", "elliptic", "error_state", "euler313",
-    "free_body", "heavy_top", "moser_veselov", "mrp", "quat", "rigid", "so3", "sym3", "trig",
-    "two_rows", "vec3",
-]  # fmt: skip
+__all__ = ["dcm", "euler313", "quat", "rigid", "so3", "vec3"]
 
 
 def __getattr__(name: str) -> Any:

@@ -15,19 +15,7 @@ from fastatt.kernels.vec3 import axpy, cross, scale, sub
 def rotation_vector_linear(a, b, t):
     """Rotation vector from time 0 to t of w = a + b t.
 
-    Parameters
-    ----------
-    a : tuple of 3 float
-        Constant coefficient, rad/s.
-    b : tuple of 3 float
-        Linear coefficient, rad/s².
-    t : float
-        Time, s.
-
-    Returns
-    -------
-    tuple of 3 float
-        t a + t²/2 b + t³/12 a×b, rad.
+    It is t a + t²/2 b + t³/12 a×b, rad.
     """
     F = type(t)
     angle = scale(t, axpy(F(0.5) * t, b, a))
@@ -38,25 +26,8 @@ def rotation_vector_linear(a, b, t):
 def rotation_vector_quadratic(a, b, c, t):
     """Rotation vector from time 0 to t of w = a + b t + c t².
 
-    Parameters
-    ----------
-    a : tuple of 3 float
-        Constant coefficient, rad/s.
-    b : tuple of 3 float
-        Linear coefficient, rad/s².
-    c : tuple of 3 float
-        Quadratic coefficient, rad/s³.
-    t : float
-        Time, s.
-
-    Returns
-    -------
-    tuple of 3 float
-        The linear one plus t³/3 c + t⁴/12 a×c + t⁵/60 b×c, rad.
-
-    Notes
-    -----
-    The products are computed as one: t³/12 (a − t²/5 c)×(b + t c).
+    It is the linear one plus t³/3 c + t⁴/12 a×c + t⁵/60 b×c, rad. The products are computed as one:
+    t³/12 (a − t²/5 c)×(b + t c).
     """
     F = type(t)
     s = t * t
@@ -67,24 +38,7 @@ def rotation_vector_quadratic(a, b, c, t):
 
 @kernel
 def rates_quadratic(w0, w1, w2, t1, t2):
-    """Parabola through rates at times 0, t1 and t2.
-
-    Parameters
-    ----------
-    w0 : tuple of 3 float
-        Rate at time 0, rad/s.
-    w1 : tuple of 3 float
-        Rate at ``t1``, rad/s.
-    w2 : tuple of 3 float
-        Rate at ``t2``, rad/s.
-    t1, t2 : float
-        Time, s.
-
-    Returns
-    -------
-    tuple of 3 tuples of 3 float
-        (a, b, c).
-    """
+    """Parabola a + b t + c t² through rates at times 0, t1 and t2."""
     F = type(t1)
     d1 = scale(F(1.0) / t1, sub(w1, w0))
     d2 = scale(F(1.0) / (t2 - t1), sub(w2, w1))
@@ -94,24 +48,7 @@ def rates_quadratic(w0, w1, w2, t1, t2):
 
 @kernel
 def increments_linear(before, now, h0, h1):
-    """Straight line whose integrals over [−h0, 0] and [0, h1] are two increments.
-
-    Parameters
-    ----------
-    before : tuple of 3 float
-        Increment over [−h0, 0], rad.
-    now : tuple of 3 float
-        Increment over [0, h1], rad.
-    h0 : float
-        Interval, s.
-    h1 : float
-        First interval from time 0, s.
-
-    Returns
-    -------
-    tuple of 2 tuples of 3 float
-        (a, b).
-    """
+    """Straight line a + b t whose integrals over [−h0, 0] and [0, h1] are two increments."""
     F = type(h0)
     r1 = scale(F(1.0) / h1, now)
     b = scale(F(2.0) / (h0 + h1), axpy(F(-1.0) / h0, before, r1))

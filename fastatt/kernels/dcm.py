@@ -10,6 +10,11 @@ from fastatt._jit import kernel
 from fastatt.kernels import quat, so3, vec3
 from fastatt.kernels.vec3 import cross, dot, rotate_axes_first, rotate_axes_third
 
+__all__ = [
+    "derivative", "derivative_row", "exp", "from_quat", "log", "mul", "norm_error",
+    "orthonormalise", "rate", "rotate", "rotate_inverse", "to_quat", "transpose",
+]  # fmt: skip
+
 
 @kernel
 def mul(a, b):
@@ -31,37 +36,13 @@ def mul(a, b):
 
 @kernel
 def add(a, b):
-    """Sum a + b of two matrices.
-
-    Parameters
-    ----------
-    a, b : tuple of 9 float
-        Matrix, row by row.
-
-    Returns
-    -------
-    tuple of 9 float
-        The sum.
-    """
+    """Sum a + b of two matrices."""
     return vec3.add(a[:3], b[:3]) + vec3.add(a[3:6], b[3:6]) + vec3.add(a[6:], b[6:])
 
 
 @kernel
 def scale(k, a):
-    """Multiple k a of a matrix.
-
-    Parameters
-    ----------
-    k : float
-        Factor.
-    a : tuple of 9 float
-        Matrix, row by row.
-
-    Returns
-    -------
-    tuple of 9 float
-        The matrix.
-    """
+    """Multiple k a of a matrix."""
     return k * a[0], k * a[1], k * a[2], k * a[3], k * a[4], k * a[5], k * a[6], k * a[7], k * a[8]
 
 
@@ -213,22 +194,7 @@ def to_quat(c):
 
 @kernel
 def rotate_first(a, c, s):
-    """Rotate an attitude about body axis 1.
-
-    Parameters
-    ----------
-    a : tuple of 9 float
-        Rotation matrix.
-    c : float
-        Cosine of half the rotation angle.
-    s : float
-        Sine of half the rotation angle.
-
-    Returns
-    -------
-    tuple of 9 float
-        The attitude.
-    """
+    """Rotate an attitude about body axis 1."""
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
@@ -238,22 +204,7 @@ def rotate_first(a, c, s):
 
 @kernel
 def rotate_third(a, c, s):
-    """Rotate an attitude about body axis 3.
-
-    Parameters
-    ----------
-    a : tuple of 9 float
-        Rotation matrix.
-    c : float
-        Cosine of half the rotation angle.
-    s : float
-        Sine of half the rotation angle.
-
-    Returns
-    -------
-    tuple of 9 float
-        The attitude.
-    """
+    """Rotate an attitude about body axis 3."""
     F = type(c)
     C = F(1.0) - F(2.0) * s * s
     S = F(2.0) * s * c
@@ -265,18 +216,6 @@ def rotate_third(a, c, s):
 def exp_short(u):
     """Matrix of a rotation vector of at most π rad.
 
-    Parameters
-    ----------
-    u : tuple of 3 float
-        Rotation vector, rad.
-
-    Returns
-    -------
-    tuple of 9 float
-        Rotation matrix exp [u×].
-
-    Notes
-    -----
     Beyond π the result is meaningless. See :func:`exp` for any angle and for the error.
     """
     return from_quat(quat.exp_short(u))
@@ -386,15 +325,7 @@ def rate(c, cdot):
 def gram(c):
     """Upper triangle of C Cᵀ.
 
-    Parameters
-    ----------
-    c : tuple of 9 float
-        Matrix.
-
-    Returns
-    -------
-    tuple of 6 float
-        (11, 12, 13, 22, 23, 33).
+    (11, 12, 13, 22, 23, 33).
     """
     a, b, d = c[:3], c[3:6], c[6:]
     return dot(a, a), dot(a, b), dot(a, d), dot(b, b), dot(b, d), dot(d, d)
@@ -444,3 +375,25 @@ def orthonormalise(c):
     h = F(-0.5)
     d = (F(1.5) + h * g[0], h * g[1], h * g[2], F(1.5) + h * g[3], h * g[4], F(1.5) + h * g[5])
     return mul((d[0], d[1], d[2], d[1], d[3], d[4], d[2], d[4], d[5]), c)
+
+
+@kernel
+def close_rows(a, b):
+    """Matrix of two orthonormal rows, the third being their cross product."""
+    return a + b + cross(a, b)
+
+
+@kernel
+def orthonormalise_rows(a, b):
+    """Orthonormalise two nearly orthonormal rows, to second order.
+
+    Half of a·b is removed from each row, and the rows are scaled. Premerlani and Bizard,
+    "Direction cosine matrix IMU: theory" (2009), equations 18 to 21.
+    """
+    F = type(a[0])
+    e = F(0.5) * dot(a, b)
+    p = (a[0] - e * b[0], a[1] - e * b[1], a[2] - e * b[2])
+    r = (b[0] - e * a[0], b[1] - e * a[1], b[2] - e * a[2])
+    f = F(1.5) - F(0.5) * dot(p, p)
+    g = F(1.5) - F(0.5) * dot(r, r)
+    return vec3.scale(f, p), vec3.scale(g, r)

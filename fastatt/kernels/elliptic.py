@@ -339,22 +339,3 @@ def theta_pair_at(g, s):
     S = S * flip
     C = C * flip
     return ar, ai, cubic(g[8:12], x) * S, cubic(g[12:16], x) * C, g[19] * r
-
-
-@kernel
-def jacobi(u, kc):
-    """(sn, cn, dn)(u, k) for a complementary modulus 0 ≤ k' ≤ 1 and any real u.
-
-    It is the theta pair for c = K', whose quotient exp(i am u) has modulus 1. The absolute error is
-    at most 1e-15 + 3e-16 ``|u|`` (float64).
-    """
-    F = type(u)
-    k = math.sqrt((F(1.0) - kc) * (F(1.0) + kc))
-    _, K, _, Kc = first_kind_pair(F(0.0), kc, F(0.0), k)
-    g = theta_pair(K, Kc, Kc)
-    ar, ai, br, bi, _ = theta_pair_at(g, g[16] * u)
-    cn = br * ai - bi * ar
-    sn = br * ar + bi * ai
-    size = math.sqrt(cn * cn + sn * sn)
-    cn = cn / size
-    return sn / size, cn, math.sqrt(kc * kc + k * k * cn * cn)

@@ -26,21 +26,8 @@ from fastatt.kernels.vec3 import dot
 def transition(u, h):
     """Transition of the error over a step at a constant rate.
 
-    Parameters
-    ----------
-    u : tuple of 3 float
-        Rotation vector ωh of the step, rad.
-    h : float
-        Step size, s.
-
-    Returns
-    -------
-    tuple of 2 tuples of 9 float
-        (Φ11, Φ12) = (exp −[u], −h Jr(u)).
-
-    Notes
-    -----
-    Φ11 also holds for any other path to the same rotation exp(u).
+    It is (Φ11, Φ12) = (exp −[u], −h Jr(u)). Φ11 also holds for any other path to the same rotation
+    exp(u).
     """
     b, c = so3.jacobian_coefficients(dot(u, u))
     turned = dcm.from_quat(quat.conj(quat.exp(u)))
@@ -51,19 +38,7 @@ def transition(u, h):
 def noise_at_rest(h, angle_variance, bias_variance):
     """Covariance of the noise over a step for ω = 0 (Farrenkopf).
 
-    Parameters
-    ----------
-    h : float
-        Step size, s.
-    angle_variance : float
-        σ_v², rad²/s.
-    bias_variance : float
-        σ_u², rad²/s³.
-
-    Returns
-    -------
-    tuple
-        (Q11, Q12, Q22) with σ_v² h + σ_u² h³/3, −σ_u² h²/2 and σ_u² h.
+    Returns (Q11, Q12, Q22) with σ_v² h + σ_u² h³/3, −σ_u² h²/2 and σ_u² h.
     """
     F = type(h)
     o = F(0.0)
@@ -81,22 +56,8 @@ def noise_at_rest(h, angle_variance, bias_variance):
 def noise(u, h, angle_variance, bias_variance):
     """Covariance of white noise over a step, exact for constant ω.
 
-    Parameters
-    ----------
-    u : tuple of 3 float
-        Rotation vector ωh of the step, rad.
-    h : float
-        Step size, s.
-    angle_variance : float
-        σ_v² for all axes, rad²/s.
-    bias_variance : float
-        σ_u² for all axes, rad²/s³.
-
-    Returns
-    -------
-    tuple of 3 tuples
-        (Q11, Q12, Q22). With θ = ``|u|``, Q11 = σ_v² h + σ_u² h³ (1/3 + (θ³/3 − 2θ + 2 sin θ)/θ⁵
-        [u]²), Q12 = −σ_u² h² (1/2 − (θ − sin θ)/θ³ [u] + (θ²/2 + cos θ − 1)/θ⁴ [u]²), Q22 = σ_u² h.
+    With θ = ``|u|``, Q11 = σ_v² h + σ_u² h³ (1/3 + (θ³/3 − 2θ + 2 sin θ)/θ⁵ [u]²), Q12 =
+    −σ_u² h² (1/2 − (θ − sin θ)/θ³ [u] + (θ²/2 + cos θ − 1)/θ⁴ [u]²), Q22 = σ_u² h.
     """
     F = type(h)
     z = dot(u, u)
@@ -115,22 +76,7 @@ def noise(u, h, angle_variance, bias_variance):
 
 @kernel
 def predict(p, phi, q):
-    """Covariance after a step, Φ P Φᵀ + Q.
-
-    Parameters
-    ----------
-    p : tuple of 3 tuples
-        Covariance (P11, P12, P22) before the step.
-    phi : tuple of 2 tuples of 9 float
-        (Φ11, Φ12).
-    q : tuple of 3 tuples
-        (Q11, Q12, Q22).
-
-    Returns
-    -------
-    tuple of 3 tuples
-        (P11, P12, P22) after the step.
-    """
+    """Covariance after a step, Φ P Φᵀ + Q."""
     f, g = phi
     p11, p12, p22 = p
     q11, q12, q22 = q
@@ -145,54 +91,20 @@ def predict(p, phi, q):
 def to_inertial(c, p):
     """Convert a covariance of errors along body axes to errors along inertial axes.
 
-    Parameters
-    ----------
-    c : tuple of 9 float
-        Rotation matrix C, body to inertial.
-    p : tuple of 3 tuples
-        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
-
-    Returns
-    -------
-    tuple of 3 tuples
-        The covariance, for C_true = exp [C δθ] C.
+    Returns the covariance for C_true = exp [C δθ] C.
     """
     return sym3.congruence(c, p[0]), dcm.mul(c, p[1]), p[2]
 
 
 @kernel
 def to_body(c, p):
-    """Convert a covariance of errors along inertial axes to errors along body axes.
-
-    Parameters
-    ----------
-    c : tuple of 9 float
-        Rotation matrix C, body to inertial.
-    p : tuple of 3 tuples
-        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
-
-    Returns
-    -------
-    tuple of 3 tuples
-        The covariance.
-    """
+    """Convert a covariance of errors along inertial axes to errors along body axes."""
     return to_inertial(dcm.transpose(c), p)
 
 
 @kernel
 def transition_matrix(phi):
-    """The 6×6 matrix of (Φ11, Φ12).
-
-    Parameters
-    ----------
-    phi : tuple of 2 tuples of 9 float
-        (Φ11, Φ12).
-
-    Returns
-    -------
-    tuple of 36 float
-        The matrix, row by row.
-    """
+    """The 6×6 matrix of (Φ11, Φ12)."""
     f, g = phi
     F = type(f[0])
     o = F(0.0)
@@ -209,18 +121,7 @@ def transition_matrix(phi):
 
 @kernel
 def matrix(p):
-    """The 6×6 matrix of a covariance (P11, P12, P22).
-
-    Parameters
-    ----------
-    p : tuple of 3 tuples
-        Covariance (P11, P12, P22) of 6, 9 and 6 numbers.
-
-    Returns
-    -------
-    tuple of 36 float
-        The matrix, row by row.
-    """
+    """The 6×6 matrix of a covariance (P11, P12, P22)."""
     a, b, c = p
     return (
         a[0], a[1], a[2], b[0], b[1], b[2],
@@ -234,18 +135,7 @@ def matrix(p):
 
 @kernel
 def blocks(a):
-    """The blocks (P11, P12, P22) of a 6×6 covariance, from its upper triangle.
-
-    Parameters
-    ----------
-    a : tuple of 36 float
-        The matrix, row by row.
-
-    Returns
-    -------
-    tuple of 3 tuples
-        The covariance.
-    """
+    """The blocks (P11, P12, P22) of a 6×6 covariance, from its upper triangle."""
     return (
         (a[0], a[1], a[2], a[7], a[8], a[14]),
         (a[3], a[4], a[5], a[9], a[10], a[11], a[15], a[16], a[17]),

@@ -7,8 +7,9 @@ Mechanics*, §4.4 and §4.9; Whittaker, *Analytical Dynamics* (1937), §10.
 import math
 
 from fastatt._jit import kernel
-from fastatt.kernels import dcm
 from fastatt.kernels.trig import atan2, sincos, sincos_bounded
+
+__all__ = ["derivative", "from_quat", "rate", "to_quat"]
 
 
 @kernel
@@ -54,40 +55,6 @@ def from_quat(q):
     sine = math.sqrt(q[1] * q[1] + q[2] * q[2])
     cosine = math.sqrt(q[0] * q[0] + q[3] * q[3])
     return s + d, F(2.0) * atan2(sine, cosine), s - d
-
-
-@kernel
-def to_dcm(angles):
-    """Direction cosine matrix of Euler angles.
-
-    Parameters
-    ----------
-    angles : tuple of 3 float
-        (φ, θ, ψ), rad.
-
-    Returns
-    -------
-    tuple of 9 float
-        Rotation matrix, body to inertial.
-    """
-    return dcm.from_quat(to_quat(angles))
-
-
-@kernel
-def from_dcm(c):
-    """Euler angles of a rotation matrix.
-
-    Parameters
-    ----------
-    c : tuple of 9 float
-        Rotation matrix, body to inertial.
-
-    Returns
-    -------
-    tuple of 3 float
-        (φ, θ, ψ), rad, with θ in [0, π].
-    """
-    return from_quat(dcm.to_quat(c))
 
 
 @kernel

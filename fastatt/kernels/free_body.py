@@ -21,8 +21,6 @@ from fastatt.kernels import quat, vec3
 from fastatt.kernels.elliptic import cubic, first_kind_pair, theta_pair, theta_pair_at, weighted
 from fastatt.kernels.trig import sincos
 
-__all__ = ["evaluate", "setup", "setup_rate", "symmetric_evaluate", "symmetric_setup"]
-
 # numbers with twice the digits, as a high and a low part: |high| ≤ 1
 
 
@@ -284,22 +282,6 @@ def begin(q, m, low, inertia, size, f):
 def setup(q, m, inertia):
     """Constants of the motion of a free body that starts with a given angular momentum.
 
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at t = 0, a unit quaternion.
-    m : tuple of 3 float
-        Angular momentum at t = 0 along principal axes, N·m·s.
-    inertia : tuple of 3 float
-        Principal moments in any order, above 0, kg·m².
-
-    Returns
-    -------
-    tuple of 37 float
-        The constants, for :func:`evaluate`.
-
-    Notes
-    -----
     Moments and momentum are at most 1e290 (float64).
     """
     F = type(m[0])
@@ -312,24 +294,8 @@ def setup(q, m, inertia):
 def setup_rate(q, w, inertia):
     """Constants of the motion of a free body that starts with a given angular velocity.
 
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at t = 0, a unit quaternion.
-    w : tuple of 3 float
-        Angular velocity at t = 0 along principal axes, rad/s.
-    inertia : tuple of 3 float
-        Principal moments in any order, above 0, kg·m².
-
-    Returns
-    -------
-    tuple of 37 float
-        The constants, for :func:`evaluate`.
-
-    Notes
-    -----
-    The products I w keep their low parts: within 1e-12 of the separatrix, the rounding of m alone
-    would move the next flip by 1e-4 of its time.
+    The products I w keep their low parts: within 1e-12 of the separatrix, the rounding of m
+    alone would move the next flip by 1e-4 of its time.
     """
     w, rate = scaled(w)
     inertia, unit = scaled(inertia)
@@ -345,21 +311,8 @@ def setup_rate(q, w, inertia):
 def evaluate(constants, t):
     """Attitude and angular momentum of a free body at a time.
 
-    Parameters
-    ----------
-    constants : tuple
-        Constants of the motion.
-    t : float
-        Time after the start, s, of either sign.
-
-    Returns
-    -------
-    tuple
-        (q, m): the unit quaternion, and the angular momentum along principal axes, N·m·s.
-
-    Notes
-    -----
-    The error of q is at most 1e-15 (1 + ``|w| t``), and that of m as much relative to ``|m|``
+    Returns (q, m): the unit quaternion, and the angular momentum along principal axes, N·m·s. The
+    error of q is at most 1e-15 (1 + ``|w| t``), and that of m as much relative to ``|m|``
     (float64), on either side of the separatrix and on it, and for symmetric bodies. After
     :func:`setup`, m is taken as exact.
     """
@@ -382,22 +335,6 @@ def evaluate(constants, t):
 def symmetric_setup(q, w, inertia):
     """Constants of the regular precession of a body with two equal moments.
 
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at t = 0, a unit quaternion.
-    w : tuple of 3 float
-        Angular velocity at t = 0 along principal axes, rad/s.
-    inertia : tuple of 3 float
-        Principal moments in any order, above 0, kg·m².
-
-    Returns
-    -------
-    tuple
-        The constants, for :func:`symmetric_evaluate`.
-
-    Notes
-    -----
     The two closest of the three moments are taken as equal, with their mean.
     """
     F = type(w[0])
@@ -427,18 +364,8 @@ def symmetric_setup(q, w, inertia):
 def symmetric_evaluate(constants, t):
     """Attitude and angular velocity of a free body with two equal moments at a time.
 
-    Parameters
-    ----------
-    constants : tuple
-        Constants of the motion.
-    t : float
-        Time after the start, s, of either sign.
-
-    Returns
-    -------
-    tuple
-        (q, w): the attitude q0∘exp(m0 t/A)∘exp(e (1/C − 1/A) m3 t) with the axis of symmetry e,
-        and the angular velocity, rad/s.
+    Returns (q, w): the attitude q0∘exp(m0 t/A)∘exp(e (1/C − 1/A) m3 t) with the axis of symmetry e,
+    and the angular velocity, rad/s.
     """
     g = constants
     F = type(t)

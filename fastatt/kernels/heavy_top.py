@@ -29,8 +29,6 @@ from fastatt.kernels.elliptic import (
 from fastatt.kernels.free_body import scale, scaled
 from fastatt.kernels.trig import atan2, sincos
 
-__all__ = ["evaluate", "setup"]
-
 # complex numbers (real, imaginary)
 
 
@@ -300,25 +298,6 @@ def matched(P0, Q0, W0, P, Q, W):
 def setup(q, w, moments, pull):
     """Constants of the motion of a heavy symmetric top.
 
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Attitude at t = 0, a unit quaternion.
-    w : tuple of 3 float
-        Angular velocity at t = 0 along body axes, rad/s.
-    moments : tuple of 3 float
-        Principal moments about the fixed point, kg·m²; the third axis is that of symmetry, and
-        the first two are replaced by their mean.
-    pull : tuple of 3 float
-        The weight times the arm along the third axis, along inertial axes and upwards, N·m.
-
-    Returns
-    -------
-    tuple of 36 float
-        The constants, for :func:`evaluate`.
-
-    Notes
-    -----
     The potential energy is e3·Cᵀpull. Zero weight, zero spin and a top at rest are handled.
     """
     F = type(w[0])
@@ -373,22 +352,9 @@ def setup(q, w, moments, pull):
 def evaluate(constants, t):
     """Attitude and angular velocity of a heavy symmetric top at a time.
 
-    Parameters
-    ----------
-    constants : tuple
-        Constants of the motion.
-    t : float
-        Time after the start, s, of either sign.
-
-    Returns
-    -------
-    tuple
-        (q, w): the unit quaternion, and the angular velocity along body axes, rad/s.
-
-    Notes
-    -----
-    With W² = ``|w|²`` + 4 ``|pull|``/A at the start, the error of q is at most 1e-15 (1 + W t) and
-    that of w as much relative to W (float64), in addition to the effect of the rounding of q and w
+    Returns (q, w): the unit quaternion, and the angular velocity along body axes, rad/s. With W² =
+    ``|w|²`` + 4 ``|pull|``/A at the start, the error of q is at most 1e-15 (1 + W t) and that
+    of w as much relative to W (float64), in addition to the effect of the rounding of q and w
     on the motion.
     """
     g = constants

@@ -11,18 +11,7 @@ from fastatt.kernels.vec3 import axpy, cross, dot, largest, scale
 
 @kernel
 def to_quat(x):
-    """Quaternion of modified Rodrigues parameters.
-
-    Parameters
-    ----------
-    x : tuple of 3 float
-        σ, of any finite length.
-
-    Returns
-    -------
-    tuple of 4 float
-        Unit quaternion.
-    """
+    """Quaternion of modified Rodrigues parameters."""
     F = type(x[0])
     # relative to the largest of 1 and the components, whose squares may overflow
     m = largest(x)
@@ -37,18 +26,7 @@ def to_quat(x):
 
 @kernel
 def from_quat(q):
-    """Modified Rodrigues parameters of a unit quaternion.
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Unit quaternion, body to inertial.
-
-    Returns
-    -------
-    tuple of 3 float
-        σ with ``|σ|`` ≤ 1.
-    """
+    """Modified Rodrigues parameters of a unit quaternion."""
     F = type(q[0])
     s = F(1.0) / (F(1.0) + abs(q[0]))
     s = -s if q[0] < F(0.0) else s
@@ -57,18 +35,7 @@ def from_quat(q):
 
 @kernel
 def inner(x):
-    """σ, or its shadow −σ/``|σ|²`` if ``|σ|`` > 1.
-
-    Parameters
-    ----------
-    x : tuple of 3 float
-        σ.
-
-    Returns
-    -------
-    tuple of 3 float
-        The same attitude with ``|σ|`` ≤ 1.
-    """
+    """σ, or its shadow −σ/``|σ|²`` if ``|σ|`` > 1."""
     F = type(x[0])
     z = dot(x, x)
     s = F(-1.0) / z if z > F(1.0) else F(1.0)
@@ -77,40 +44,14 @@ def inner(x):
 
 @kernel
 def derivative(x, w):
-    """Derivative σ̇ = ¼ ((1 − ``|σ|²``) w + 2 σ×w + 2 (σ·w) σ).
-
-    Parameters
-    ----------
-    x : tuple of 3 float
-        σ.
-    w : tuple of 3 float
-        Angular velocity along body axes, rad/s.
-
-    Returns
-    -------
-    tuple of 3 float
-        σ̇, 1/s.
-    """
+    """Derivative σ̇ = ¼ ((1 − ``|σ|²``) w + 2 σ×w + 2 (σ·w) σ)."""
     F = type(x[0])
     return half_derivative(x, scale(F(0.5), w))
 
 
 @kernel
 def half_derivative(x, v):
-    """Derivative σ̇ at the angular velocity 2v.
-
-    Parameters
-    ----------
-    x : tuple of 3 float
-        σ.
-    v : tuple of 3 float
-        Half of the angular velocity along body axes, rad/s.
-
-    Returns
-    -------
-    tuple of 3 float
-        σ̇, 1/s.
-    """
+    """Derivative σ̇ at the angular velocity 2v."""
     F = type(x[0])
     k = F(0.5) * (F(1.0) - dot(x, x))
     return axpy(k, v, axpy(dot(x, v), x, cross(x, v)))

@@ -11,6 +11,11 @@ from fastatt._jit import kernel
 from fastatt.kernels.trig import atan2, half_sinc_cos, half_sinc_cos_wide
 from fastatt.kernels.vec3 import cross
 
+__all__ = [
+    "angle", "conj", "derivative", "derivative_inertial", "exp", "log", "mul", "normalise",
+    "rate", "rate_inertial", "renormalise", "rotate", "rotate_inverse", "slerp",
+]  # fmt: skip
+
 
 @kernel
 def mul(p, q):
@@ -54,18 +59,7 @@ def conj(q):
 
 @kernel
 def dot(p, q):
-    """Scalar product of two quaternions as vectors of four numbers.
-
-    Parameters
-    ----------
-    p, q : tuple of 4 float
-        Quaternion.
-
-    Returns
-    -------
-    float
-        The product.
-    """
+    """Scalar product of two quaternions as vectors of four numbers."""
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3]
 
 
@@ -118,39 +112,13 @@ def rotate_inverse(q, v):
 
 @kernel
 def rotate_first(q, c, s):
-    """Rotate an attitude about body axis 1, q∘(c, s, 0, 0).
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Unit quaternion, body to inertial.
-    c, s : float
-        Cosine and sine of half the rotation angle.
-
-    Returns
-    -------
-    tuple of 4 float
-        The attitude.
-    """
+    """Rotate an attitude about body axis 1, q∘(c, s, 0, 0)."""
     return c * q[0] - s * q[1], c * q[1] + s * q[0], c * q[2] + s * q[3], c * q[3] - s * q[2]
 
 
 @kernel
 def rotate_third(q, c, s):
-    """Rotate an attitude about body axis 3, q∘(c, 0, 0, s).
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Unit quaternion, body to inertial.
-    c, s : float
-        Cosine and sine of half the rotation angle.
-
-    Returns
-    -------
-    tuple of 4 float
-        The attitude.
-    """
+    """Rotate an attitude about body axis 3, q∘(c, 0, 0, s)."""
     return c * q[0] - s * q[3], c * q[1] + s * q[2], c * q[2] - s * q[1], c * q[3] + s * q[0]
 
 
@@ -158,18 +126,6 @@ def rotate_third(q, c, s):
 def exp_short(u):
     """Quaternion of a rotation vector of at most π rad.
 
-    Parameters
-    ----------
-    u : tuple of 3 float
-        Rotation vector, rad.
-
-    Returns
-    -------
-    tuple of 4 float
-        Unit quaternion.
-
-    Notes
-    -----
     Beyond π the result is meaningless. See :func:`exp` for any angle and the error.
     """
     s, c = half_sinc_cos(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
@@ -295,20 +251,7 @@ def renormalise(q):
 
 @kernel
 def mul_vector(q, v):
-    """Product q∘(0, v), the derivative of q at the angular velocity 2v along body axes.
-
-    Parameters
-    ----------
-    q : tuple of 4 float
-        Unit quaternion, body to inertial.
-    v : tuple of 3 float
-        Vector.
-
-    Returns
-    -------
-    tuple of 4 float
-        The product.
-    """
+    """Product q∘(0, v), the derivative of q at the angular velocity 2v along body axes."""
     return (
         -q[1] * v[0] - q[2] * v[1] - q[3] * v[2],
         q[0] * v[0] + q[2] * v[2] - q[3] * v[1],

@@ -12,6 +12,12 @@ from fastatt.kernels import quat
 from fastatt.kernels.trig import powers_of_two, reduce_powers, short_waves, sincos
 from fastatt.kernels.vec3 import add, cross, dot, scale
 
+__all__ = [
+    "acceleration", "damping", "gravity_gradient", "gyroscopic", "kinetic_energy",
+    "kinetic_energy_symmetric", "momentum", "quadratic_damping", "quaternion_feedback",
+    "saturated", "target_error",
+]  # fmt: skip
+
 
 @kernel
 def momentum(w, inertia):
@@ -34,18 +40,7 @@ def momentum(w, inertia):
 
 @kernel
 def gyroscopic_coefficients(inertia):
-    """Coefficients (1/I3 − 1/I2, 1/I1 − 1/I3, 1/I2 − 1/I1), without cancellation.
-
-    Parameters
-    ----------
-    inertia : tuple of 3 float
-        Principal moments, kg·m².
-
-    Returns
-    -------
-    tuple of 3 float
-        The coefficients, 1/(kg·m²).
-    """
+    """Coefficients (1/I3 − 1/I2, 1/I1 − 1/I3, 1/I2 − 1/I1), without cancellation."""
     return (
         (inertia[1] - inertia[2]) / (inertia[1] * inertia[2]),
         (inertia[2] - inertia[0]) / (inertia[2] * inertia[0]),
@@ -213,24 +208,7 @@ def gravity_gradient(o, inertia, mean_motion):
 
 @kernel
 def orbit_direction(t, mean_motion, radial, along):
-    """Direction from the planet in a circular orbit, cos(n t) radial + sin(n t) along.
-
-    Parameters
-    ----------
-    t : float
-        Time, s.
-    mean_motion : float
-        n, rad/s.
-    radial : tuple of 3 float
-        Unit vector at t = 0.
-    along : tuple of 3 float
-        Unit vector along inertial axes.
-
-    Returns
-    -------
-    tuple of 3 float
-        Unit vector along inertial axes.
-    """
+    """Direction from the planet in a circular orbit, cos(n t) radial + sin(n t) along."""
     s, c = sincos(mean_motion * t)
     F = type(radial[0])
     return add(scale(F(c), radial), scale(F(s), along))
@@ -266,18 +244,7 @@ def quaternion_feedback(e, w, stiffness, damping):
 
 @kernel
 def sign_of_scalar(e):
-    """The sign of a quaternion's scalar part.
-
-    Parameters
-    ----------
-    e : tuple of 4 float
-        Quaternion.
-
-    Returns
-    -------
-    float
-        1 or −1; 1 for zero.
-    """
+    """The sign of a quaternion's scalar part."""
     F = type(e[0])
     return F(-1.0) if e[0] < F(0.0) else F(1.0)
 
@@ -331,18 +298,6 @@ def target_error(target, q):
 def exp_decay(x):
     """The flow of linear damping, (e^−x, (1 − e^−x)/x).
 
-    Parameters
-    ----------
-    x : float
-        Argument; ``|x|`` above 176 is treated as 176.
-
-    Returns
-    -------
-    tuple of 2 float
-        The pair.
-
-    Notes
-    -----
     The second is computed as e^−y sinh(y)/y with y = x/2. The relative error is at most 1e-15
     (float64).
     """

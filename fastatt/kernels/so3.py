@@ -14,8 +14,14 @@ from fastatt.kernels.trig import (
     half_sinc_cos_wide,
     sin_remainder,
     sin_second_remainder,
+    sincos,
 )
-from fastatt.kernels.vec3 import cross, dot, scale
+from fastatt.kernels.vec3 import add, axpy, cross, dot, scale, sub
+
+__all__ = [
+    "axis_angle_derivative", "axis_angle_rate", "dexp", "dexpinv", "hat", "left_jacobian",
+    "left_jacobian_inverse", "right_jacobian", "right_jacobian_inverse", "vee",
+]  # fmt: skip
 
 
 @kernel
@@ -57,20 +63,7 @@ def vee(a):
 
 @kernel
 def second_order(b, c, v):
-    """The matrix 1 + b [v] + c [v]², the general isotropic function of v.
-
-    Parameters
-    ----------
-    b, c : float
-        Coefficient.
-    v : tuple of 3 float
-        Vector.
-
-    Returns
-    -------
-    tuple of 9 float
-        The matrix.
-    """
+    """The matrix 1 + b [v] + c [v]², the general isotropic function of v."""
     F = type(v[0])
     xy = c * v[0] * v[1]
     xz = c * v[0] * v[2]
@@ -87,20 +80,7 @@ def second_order(b, c, v):
 
 @kernel
 def second_order_apply(b, c, v, x):
-    """The vector x + b v×x + c v×(v×x), without the matrix.
-
-    Parameters
-    ----------
-    b, c : float
-        Coefficient.
-    v, x : tuple of 3 float
-        Vector.
-
-    Returns
-    -------
-    tuple of 3 float
-        The vector.
-    """
+    """The vector x + b v×x + c v×(v×x), without the matrix."""
     p = cross(v, x)
     r = cross(v, p)
     return x[0] + b * p[0] + c * r[0], x[1] + b * p[1] + c * r[1], x[2] + b * p[2] + c * r[2]
@@ -110,18 +90,6 @@ def second_order_apply(b, c, v, x):
 def jacobian_coefficients(z):
     """((1 − cos θ)/θ², (θ − sin θ)/θ³) for any θ, without cancellation.
 
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    tuple of 2 float
-        The coefficients.
-
-    Notes
-    -----
     The relative error is at most 1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
@@ -136,20 +104,8 @@ def jacobian_coefficients(z):
 def second_integral_coefficient(z):
     """(θ²/2 + cos θ − 1)/θ⁴ for any θ, without cancellation.
 
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    float
-        The coefficient.
-
-    Notes
-    -----
-    It is computed as (1 + sin x/x) (x − sin x)/(8 x³) with x = θ/2. The relative error is at most
-    1e-15 (float64) for θ ≤ π.
+    It is computed as (1 + sin x/x) (x − sin x)/(8 x³) with x = θ/2. The relative error is at
+    most 1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
     quarter = F(0.25) * z
@@ -162,18 +118,6 @@ def second_integral_coefficient(z):
 def square_integral_coefficient(z):
     """(θ³/3 − 2θ + 2 sin θ)/θ⁵ for any θ, without cancellation.
 
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    float
-        The coefficient.
-
-    Notes
-    -----
     ∫₀¹ Jr(sφ) Jr(sφ)ᵀ s² ds is 1/3 + this [φ]². The relative error is at most 1e-15 (float64).
     """
     F = type(z)
@@ -188,18 +132,6 @@ def square_integral_coefficient(z):
 def inverse_coefficient(z):
     """(1 − (θ/2) cot(θ/2))/θ² for any θ; infinite at multiples of 2π.
 
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    float
-        The coefficient.
-
-    Notes
-    -----
     The relative error is at most 1e-15 (float64) for θ ≤ π.
     """
     F = type(z)
@@ -314,17 +246,7 @@ def dexpinv(phi, w):
 def dexpinv_short(phi, w):
     """:func:`dexpinv` for a rotation vector of at most π, without a root.
 
-    Parameters
-    ----------
-    phi : tuple of 3 float
-        Rotation vector φ, rad.
-    w : tuple of 3 float
-        Angular velocity along body axes, rad/s.
-
-    Returns
-    -------
-    tuple of 3 float
-        φ̇, rad/s; meaningless beyond π.
+    φ̇, rad/s; meaningless beyond π.
     """
     F = type(w[0])
     return second_order_apply(F(0.5), cot_remainder(dot(phi, phi)), phi, w)
@@ -352,20 +274,7 @@ def dexp(phi, phidot):
 
 @kernel
 def turned_integral(phi, f):
-    """The integral ∫₀¹ exp(sφ) f ds = Jl(φ) f.
-
-    Parameters
-    ----------
-    phi : tuple of 3 float
-        Rotation vector φ, rad.
-    f : tuple of 3 float
-        Vector f.
-
-    Returns
-    -------
-    tuple of 3 float
-        The integral.
-    """
+    """The integral ∫₀¹ exp(sφ) f ds = Jl(φ) f."""
     b, c = jacobian_coefficients(dot(phi, phi))
     return second_order_apply(b, c, phi, f)
 
@@ -374,20 +283,68 @@ def turned_integral(phi, f):
 def turned_second_integral(phi, f):
     """The integral ∫₀¹ ∫₀ʳ exp(sφ) f ds dr.
 
-    Parameters
-    ----------
-    phi : tuple of 3 float
-        Rotation vector φ, rad.
-    f : tuple of 3 float
-        Vector f.
-
-    Returns
-    -------
-    tuple of 3 float
-        (½ + (θ − sin θ)/θ³ [φ] + (θ²/2 + cos θ − 1)/θ⁴ [φ]²) f.
+    (½ + (θ − sin θ)/θ³ [φ] + (θ²/2 + cos θ − 1)/θ⁴ [φ]²) f.
     """
     F = type(phi[0])
     z = dot(phi, phi)
     _, b = jacobian_coefficients(z)
     g = second_order_apply(b + b, F(2.0) * second_integral_coefficient(z), phi, f)
     return scale(F(0.5), g)
+
+
+@kernel
+def axis_angle_rate(e, edot, phi, phidot):
+    """Angular velocity of a rotation by φ about an axis e, w = e φ̇ + ė sin φ + (e×ė)(1 − cos φ).
+
+    It is along inertial axes; for body axes change the signs of φ and of w. Lurie, *Analytical
+    Mechanics* (2002), §2.12.
+
+    Parameters
+    ----------
+    e : tuple of 3 float
+        Axis, a unit vector.
+    edot : tuple of 3 float
+        Time derivative of the axis, 1/s.
+    phi : float
+        Angle, rad.
+    phidot : float
+        Time derivative of the angle, rad/s.
+
+    Returns
+    -------
+    tuple of 3 float
+        Angular velocity along inertial axes, rad/s.
+    """
+    F = type(phi)
+    s, c = sincos(F(0.5) * phi)
+    a = F(2.0) * s * c
+    b = F(2.0) * s * s
+    return add(axpy(phidot, e, scale(a, edot)), scale(b, cross(e, edot)))
+
+
+@kernel
+def axis_angle_derivative(e, phi, w):
+    """Derivatives of axis and angle, φ̇ = e·w and ė = ½ (cot(φ/2) w⊥ − e×w).
+
+    The inverse of :func:`axis_angle_rate`.
+
+    Parameters
+    ----------
+    e : tuple of 3 float
+        Axis, a unit vector.
+    phi : float
+        Angle, rad.
+    w : tuple of 3 float
+        Angular velocity along inertial axes, rad/s.
+
+    Returns
+    -------
+    tuple
+        (ė, φ̇), infinite at φ = 2πk.
+    """
+    F = type(phi)
+    s, c = sincos(F(0.5) * phi)
+    cot = c / s
+    f = dot(e, w)
+    across = sub(w, scale(f, e))
+    return scale(F(0.5), sub(scale(cot, across), cross(e, w))), f

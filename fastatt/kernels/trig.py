@@ -15,8 +15,6 @@ import numpy as np
 
 from fastatt._jit import kernel
 
-__all__ = ["atan2", "half_sinc_cos", "half_sinc_cos_wide", "sincos", "sincos_bounded"]
-
 TWO_PI_1 = 6.28125
 TWO_PI_2 = 0.0019350051879882812
 TWO_PI_3 = 3.019915981956753e-07
@@ -52,20 +50,8 @@ def is_odd(k):
 def sincos(x):
     """Sine and cosine.
 
-    Parameters
-    ----------
-    x : float
-        Angle, rad.
-
-    Returns
-    -------
-    tuple of 2 float
-        (sin x, cos x).
-
-    Notes
-    -----
-    The absolute error is at most 1.4e-16 (float64) for ``|x|`` ≤ 1e6; beyond, it is that of x moved
-    by an ulp. Any x gives sine and cosine of one angle.
+    The absolute error is at most 1.4e-16 (float64) for ``|x|`` ≤ 1e6; beyond, it is that of x
+    moved by an ulp. Any x gives sine and cosine of one angle.
     """
     F = type(x)
     r, k = reduce_quarters(x)
@@ -78,20 +64,8 @@ def sincos(x):
 def sincos_bounded(x):
     """Sine and cosine of bounded angles, in two operations less than :func:`sincos`.
 
-    Parameters
-    ----------
-    x : float
-        Angle, rad, ``|x|`` ≤ 1e13 (float32: 1e4).
-
-    Returns
-    -------
-    tuple of 2 float
-        (sin x, cos x).
-
-    Notes
-    -----
-    Up to 1e15 (float32: 1e6) the error is that of x moved by an ulp. A rotation by a larger angle
-    changes lengths, so that the error is noticed.
+    Up to 1e15 (float32: 1e6) the error is that of x moved by an ulp. A rotation by a larger
+    angle changes lengths, so that the error is noticed.
     """
     r, k = reduce_quarters(x)
     return sincos_short(r, k)
@@ -135,18 +109,6 @@ def within_a_turn(k):
 def half_sinc_cos(z):
     """(sin(θ/2)/θ, cos(θ/2)) for 0 ≤ θ ≤ π, by polynomials in θ².
 
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    tuple of 2 float
-        The pair; meaningless outside of the range.
-
-    Notes
-    -----
     The error is at most 1.2e-16, and that of the first at most 2e-16 relative to it (float64).
     """
     F = type(z)
@@ -173,18 +135,7 @@ def half_sinc_cos(z):
 
 @kernel
 def half_sinc_cos_wide(z):
-    """(sin(θ/2)/θ, cos(θ/2)) for any θ.
-
-    Parameters
-    ----------
-    z : float
-        θ², rad².
-
-    Returns
-    -------
-    tuple of 2 float
-        The pair, with the same bits as :func:`half_sinc_cos` up to π.
-    """
+    """(sin(θ/2)/θ, cos(θ/2)) for any θ."""
     F = type(z)
     theta = math.sqrt(z)
     r, k = reduce_turns(theta)
@@ -259,22 +210,8 @@ def cot_remainder(z):
 def atan2(y, x):
     """The angle of the point (x, y) in (−π, π].
 
-    Parameters
-    ----------
-    y : float
-        Ordinate.
-    x : float
-        Abscissa.
-
-    Returns
-    -------
-    float
-        The angle, rad; 0 at the origin.
-
-    Notes
-    -----
-    The relative error is at most 4e-16 (float64) while ``|x| + |y|`` is finite. The sign of a zero
-    y is ignored.
+    The relative error is at most 4e-16 (float64) while ``|x| + |y|`` is finite. The sign of a
+    zero y is ignored.
     """
     F = type(y)
     ay = abs(y)

@@ -2,6 +2,8 @@
 
 from fastatt._jit import kernel
 
+__all__ = ["add", "axpy", "cross", "dot", "scale", "sub"]
+
 
 @kernel
 def dot(a, b):
@@ -124,78 +126,20 @@ def axpy(k, a, b):
 
 
 @kernel
-def neg(a):
-    """Opposite vector −a.
-
-    Parameters
-    ----------
-    a : tuple of 3 float
-        Vector.
-
-    Returns
-    -------
-    tuple of 3 float
-        The vector.
-    """
-    return -a[0], -a[1], -a[2]
-
-
-@kernel
 def rotate_axes_first(v, c, s):
-    """Components of a vector along axes that are rotated about axis 1.
-
-    Parameters
-    ----------
-    v : tuple of 3 float
-        Vector.
-    c : float
-        Cosine of the rotation angle.
-    s : float
-        Sine of the rotation angle.
-
-    Returns
-    -------
-    tuple of 3 float
-        The components.
-    """
+    """Components of a vector along axes that are rotated about axis 1."""
     return v[0], c * v[1] + s * v[2], c * v[2] - s * v[1]
 
 
 @kernel
 def rotate_axes_third(v, c, s):
-    """Components of a vector along axes that are rotated about axis 3.
-
-    Parameters
-    ----------
-    v : tuple of 3 float
-        Vector.
-    c : float
-        Cosine of the rotation angle.
-    s : float
-        Sine of the rotation angle.
-
-    Returns
-    -------
-    tuple of 3 float
-        The components.
-    """
+    """Components of a vector along axes that are rotated about axis 3."""
     return c * v[0] + s * v[1], c * v[1] - s * v[0], v[2]
 
 
 @kernel
 def largest(v):
-    """The largest of |v1|, |v2|, |v3|.
-
-    Parameters
-    ----------
-    v : tuple of 3 float
-        Vector.
-
-    Returns
-    -------
-    float
-        The largest magnitude of a component.
-    """
+    """The largest of |v1|, |v2|, |v3|."""
     m = abs(v[0])
     m = abs(v[1]) if abs(v[1]) > m else m
     return abs(v[2]) if abs(v[2]) > m else m

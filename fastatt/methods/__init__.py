@@ -1,57 +1,63 @@
-"""The list of methods. Each has one file, with its step and its record."""
+"""The list of methods. A file defines one or several, with their steps and their records."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
 
-from fastatt.methods import (
-    cf4,
-    closed_form,
-    coning2,
-    crouch_grossman,
-    dmv,
-    gauss12,
-    gbs16,
-    hold,
-    magnus4,
-    magnus6,
-    magnus8,
-    picard,
-    previous,
-    rk4,
-    rk8,
-    rk9,
-    rkmk4,
-    strang,
-    trapezoid,
-)
 from fastatt.methods.method import Method
 
-_ALL = (
-    crouch_grossman.LIE_EULER,
-    crouch_grossman.LIE_MIDPOINT,
-    rk4.METHOD,
-    magnus4.METHOD,
-    magnus6.METHOD,
-    magnus8.METHOD,
-    gauss12.METHOD,
-    cf4.METHOD,
-    rkmk4.METHOD,
-    crouch_grossman.CG3,
-    rk8.METHOD,
-    rk9.METHOD,
-    gbs16.METHOD,
-    strang.STRANG2,
-    strang.KAHAN_LI8,
-    *dmv.METHODS,
-    closed_form.METHOD,
-    hold.METHOD,
-    trapezoid.METHOD,
-    previous.METHOD,
-    coning2.METHOD,
-    picard.METHOD,
-)
-METHODS: Mapping[str, Method] = MappingProxyType({m.name: m for m in _ALL})
+# the file of each method, which is imported when the method is first used
+_FILES = {
+    "lie_euler": "crouch_grossman",
+    "lie_midpoint": "crouch_grossman",
+    "rk4": "explicit",
+    "magnus4": "magnus",
+    "magnus6": "magnus",
+    "magnus8": "magnus",
+    "gauss12": "gauss12",
+    "cf4": "cf4",
+    "rkmk4": "rkmk4",
+    "cg3": "crouch_grossman",
+    "rk8": "explicit",
+    "rk9": "explicit",
+    "gbs16": "gbs16",
+    "strang2": "strang",
+    "kahan_li8": "strang",
+    "dmv2": "dmv",
+    "dmv10": "dmv",
+    "exact": "closed_form",
+    "hold": "samples",
+    "trapezoid": "samples",
+    "previous": "samples",
+    "coning2": "samples",
+    "picard": "picard",
+}
+
+
+@cache
+def _defined_in(file: str) -> dict[str, Method]:
+    values = vars(import_module(f"fastatt.methods.{file}")).values()
+    return {x.name: x for x in values if isinstance(x, Method)}
+
+
+class _Methods(Mapping[str, Method]):
+    """The methods of the library by name."""
+
+    def __getitem__(self, name: str) -> Method:
+        return _defined_in(_FILES[name])[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_FILES)
+
+    def __len__(self) -> int:
+        return len(_FILES)
+
+    def __repr__(self) -> str:
+        return f"METHODS: {', '.join(self)}"
+
+
+METHODS: Mapping[str, Method] = _Methods()
 
 __all__ = ["METHODS", "Method"]

@@ -8,7 +8,6 @@ METHOD = Method(
     scenes=BODIES,
     conserves=("norm", "momentum", "energy"),
     rate_calls=0,
-    exponentials=0,
     limits={},
     summary="closed form of free bodies and heavy symmetric tops; for few saves and as a reference",
     source="van Zon and Schofield, J. Comput. Phys. 225 (2007) 145; Celledoni et al. (2008); "

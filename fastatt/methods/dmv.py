@@ -15,10 +15,10 @@ from typing import Any
 
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import FREE, Method, Steps
-from fastatt.tracing.formulas import Vector, dot, plus, scale
-from fastatt.tracing.formulas import moser_veselov as mv
+from fastatt.tracing.formulas import Kernels, Vector, dot, plus, scale
 from fastatt.tracing.graph import Single, choose
 
+mv: Any = Kernels("moser_veselov")
 # number of coefficients of each level, from the second power of the step on
 _SIZES = (4, 6, 8, 10)
 
@@ -126,7 +126,6 @@ def _method(level: int) -> Method:
         uses=("compose",),
         conserves=("norm", "momentum", "energy"),
         rate_calls=1,
-        exponentials=0,
         compensates=True,
         measure="momentum",
         limits=dict.fromkeys(FAMILIES, 0.7 if order == 2 else 1.0),
@@ -140,4 +139,4 @@ def _method(level: int) -> Method:
     )
 
 
-METHODS = tuple(_method(level) for level in (0, 4))
+DMV2, DMV10 = _method(0), _method(4)

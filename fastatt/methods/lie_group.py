@@ -15,12 +15,12 @@ import numpy as np
 
 from fastatt import checks
 from fastatt.attitudes.attitude import FAMILIES
-from fastatt.methods.method import BODIES, BODY, Method, Steps
+from fastatt.methods.method import BODIES, BODY, Method, Steps, named
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale, weighted
 from fastatt.tracing.functions import larger
 from fastatt.tracing.graph import Graph, Number
-from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.source import function
 from fastatt.tracing.trace import traceable
 
@@ -42,13 +42,13 @@ def gauss_polynomial(w: Any, t: Any, h: Any, n: int) -> list[Vector]:
     sums = [plus(*pair) for pair in pairs]
     moved = [minus(s, sums[0]) for s in sums[1:]]
     gaps = [minus(b, a) for a, b in pairs]
-    found = []
+    coefficients = []
     for of_sums, of_gaps in zip(even, odd, strict=True):
         for weights, vectors in ((of_sums[1:], moved), (of_gaps, gaps)):
             k, v = weighted(weights, vectors)
-            found.append(scale(h * k, v))
-    found[0] = axpy(0.5 * h, sums[0], found[0])
-    return found
+            coefficients.append(scale(h * k, v))
+    coefficients[0] = axpy(0.5 * h, sums[0], coefficients[0])
+    return coefficients
 
 
 @cache
@@ -82,10 +82,10 @@ def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callab
             asked.append(w)
             return w
 
-        found = [tuple(u) for u in exponents(rate, t, h)]
-        for u in found:
+        turned = [tuple(u) for u in exponents(rate, t, h)]
+        for u in turned:
             x = motion.turned(x, u)
-        return x, turns(found, asked, h)
+        return x, turns(turned, asked, h)
 
     return step
 
@@ -139,8 +139,8 @@ def lie_group(
     exponents : callable
         ``f(w, t, h) -> (u1, u2, …)``, rotation vectors along body axes, rad, as tuples of three.
         w(t) is the rate, rad/s, t the time at the start of the step, s, and h the step size, s. The
-        function is traced: it may use arithmetic, ``math`` and the kernels of
-        :mod:`fastatt.kernels`.
+        function is always followed: it may use arithmetic, ``a if c else b``, ``math`` and the
+        kernels of :mod:`fastatt.kernels`.
     limit : float, default 1.0
         Largest ``|w| h`` of a step, rad; beyond it the status is ``STEP_TOO_LARGE``.
 
@@ -170,15 +170,15 @@ def lie_group(
     found_limit = checks.above_zero("limit", limit, "above 0, rad")
     try:
         formula = traceable(exponents)
-        asked, found, within = _recorded(formula)
-    except TraceError as error:
+        rate_calls, exponentials, within = _recorded(formula)
+    except (TraceError, RefusedError) as error:
         raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
     return lie_method(
         named(name),
         checks.whole("order", order, 1),
         formula,
-        rate_calls=asked,
-        exponentials=found,
+        rate_calls=rate_calls,
+        exponentials=exponentials,
         within=within,
         limit=found_limit,
         exact_for_constant=False,
@@ -200,19 +200,19 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int, bool]:
         asked.append(at)
         return graph.inputs("double", "w", 3)
 
-    found = formula(rate, graph.input("double", "t"), graph.input("double", "h"))
-    fits = isinstance(found, (tuple, list)) and all(
+    exponents = formula(rate, graph.input("double", "t"), graph.input("double", "h"))
+    fits = isinstance(exponents, (tuple, list)) and all(
         isinstance(u, (tuple, list))
         and len(u) == 3
         and all(isinstance(x, (Number, float, int)) for x in u)
-        for u in found
+        for u in exponents
     )
-    if not fits or not found or not asked:
+    if not fits or not exponents or not asked:
         raise ValueError(
             "exponents: found a function that gives no tuple of exponents made from w(t); "
             "accepted: f(w, t, h) -> (u1, u2, …), each of three numbers"
         )
-    total = Flat(graph, (*plus(*map(tuple, found)), *asked), "double")
+    total = Flat(graph, (*plus(*map(tuple, exponents)), *asked), "double")
     values = {("w", 0): 0.3, ("w", 1): -0.5, ("w", 2): 0.7, ("t",): 0.4, ("h",): 1e-6}
     turned = function(total)(*(values[name] for name in total.inputs()))
     turned, times = turned[:3], turned[3:]
@@ -224,15 +224,4 @@ def _recorded(formula: Callable[..., Any]) -> tuple[int, int, bool]:
             "h w"
         )
     shares = [(time - values["t",]) / values["h",] for time in times]
-    return len(asked), len(found), all(-1e-6 < share < 1.0 + 1e-6 for share in shares)
-
-
-def named(name: Any) -> str:
-    """The name of a new method; raises ``TypeError`` or ``ValueError`` for anything else."""
-    from fastatt.methods import METHODS  # which this module helps to make
-
-    if not isinstance(name, str) or not name:
-        raise TypeError(f"name: found {checks.brief(name)}; accepted: a name")
-    if name in METHODS:
-        raise ValueError(f"name: found {name!r}, a method of the library; accepted: another name")
-    return name
+    return len(asked), len(exponents), all(-1e-6 < share < 1.0 + 1e-6 for share in shares)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fastatt import checks
 from fastatt.attitudes import ATTITUDES
 from fastatt.scene.torque_record import Dependence
 
@@ -60,12 +61,8 @@ class Method:
     scenes : tuple of str
         Kinds of scenes (``Scene.kind``) that the method accepts, "sampled rates" and "increments"
         for samples.
-    conserves : tuple of str
-        Quantities that the method conserves.
     rate_calls : int
         Evaluations of the rate or torque in a step.
-    exponentials : int
-        Exponentials in a step.
     limits : mapping of str to float
         Largest ``|w| h``, rad, of a step whose error is at most 0.1 rad per radian of rotation, for
         rates that change no faster than the body rotates. Keys are families of representations,
@@ -75,6 +72,10 @@ class Method:
         Author, year and equation.
     summary : str
         A line for tables.
+    conserves : tuple of str
+        Quantities that the method conserves.
+    exponentials : int
+        Exponentials in a step.
     uses : tuple of str
         Formulas of a representation that the method needs.
     steps : Steps, optional
@@ -123,12 +124,12 @@ class Method:
     name: str
     order: int
     scenes: tuple[str, ...]
-    conserves: tuple[str, ...]
     rate_calls: int
-    exponentials: int
     limits: Mapping[str, float]
     source: str
     summary: str = ""
+    conserves: tuple[str, ...] = ()
+    exponentials: int = 0
     #: formulas of a representation that the method needs
     uses: tuple[str, ...] = ("start",)
     #: None for the closed form and for methods for samples
@@ -241,8 +242,8 @@ class Method:
         known = ATTITUDES.get(representation)
         key = representation if known is None else known.family
         least = min((x for name, x in self.limits.items() if name != TORQUED), default=math.inf)
-        own = self.limits.get(key, least)
-        return min(own, self.limits.get(BODY, math.inf)) if body else own
+        limit = self.limits.get(key, least)
+        return min(limit, self.limits.get(BODY, math.inf)) if body else limit
 
 
 def _listed(name: str) -> Method | None:
@@ -250,3 +251,14 @@ def _listed(name: str) -> Method | None:
     from fastatt.methods import METHODS
 
     return METHODS.get(name)
+
+
+def named(name: Any) -> str:
+    """The name of a new method; raises ``TypeError`` or ``ValueError`` for anything else."""
+    from fastatt.methods import METHODS
+
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"name: found {checks.brief(name)}; accepted: a name")
+    if name in METHODS:
+        raise ValueError(f"name: found {name!r}, a method of the library; accepted: another name")
+    return name

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from fastatt.methods.sampled import sampled_method
+from fastatt.methods.samples import sampled_method
 from fastatt.methods.windows import Iteration, Window
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 

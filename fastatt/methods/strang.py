@@ -141,7 +141,6 @@ def _method(
         uses=("rotate", "rotate_first", "rotate_third"),
         conserves=("norm", "momentum"),
         rate_calls=2 * len(half) - 1,
-        exponentials=0,
         measure="asymmetry",
         limits=dict.fromkeys(FAMILIES, limit) | {TORQUED: torqued_limit},
         # strang2 rotates the body with the rate in the middle, which is wrong under strong damping;

@@ -1,12 +1,9 @@
 """Pictures of runs with matplotlib, drawn to files without a display."""
 
-try:
-    import matplotlib as mpl  # noqa: F401
-except ImportError:
-    raise ImportError(
-        "pictures: need matplotlib; install it with pip install 'fastatt[plot]'"
-    ) from None
+from fastatt import checks
 
-from fastatt.plots.runs import history, polhode
+checks.optional("pictures", "matplotlib", "fastatt[plot]")
+
+from fastatt.plots.runs import history, polhode  # noqa: E402
 
 __all__ = ["history", "polhode"]

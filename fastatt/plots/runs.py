@@ -8,21 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.arrays import angle_between, quat_rotate
-from fastatt.plots.drawing import (
-    COLOURS,
-    axes_on,
-    check_run,
-    curve_on,
-    save,
-    sphere_and_plane,
-    tints_of,
-)
+from fastatt.plots.drawing import COLOURS, check_run, curve_on, save, sphere_on
 from fastatt.propagation.drift import drift
 from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.trajectory import Trajectory
@@ -66,9 +58,10 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
     Examples
     --------
     >>> import fastatt as fa
+    >>> from fastatt import plots
     >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
-    >>> fa.plots.history(run, "run.png", body)  # doctest: +SKIP
+    >>> plots.history(run, "run.png", body)  # doctest: +SKIP
     """
     check_run(run)
     many = run.status.size > 1
@@ -86,9 +79,7 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
         _percentiles(panels[1], run.t, np.linalg.norm(run.w, axis=-1), "|w|, rad/s")
         _legend(panels[0])
     else:
-        _axis(panels[0], run)
-        _angles(panels[1], run)
-        _rates(panels[2], run)
+        _of_one(panels, run)
     _drifts(panels[-1], run, scene)
     save(figure, path)
 
@@ -126,9 +117,10 @@ def polhode(
     Examples
     --------
     >>> import fastatt as fa
+    >>> from fastatt import plots
     >>> body = fa.Scene(inertia=(3.0, 2.0, 1.0))
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 1.0, 0.0], dt=0.1, n_steps=200, save_every=1)
-    >>> fa.plots.polhode(run, body, "polhode.png")  # doctest: +SKIP
+    >>> plots.polhode(run, body, "polhode.png")  # doctest: +SKIP
     """
     check_run(run)
     if as_scene(scene).inertia is None:
@@ -152,23 +144,26 @@ def polhode(
     q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
     m = angular_momentum(w, scene[chosen].inertia)  # type: ignore[arg-type]
     space, held = quat_rotate(q, w), quat_rotate(q[0], m[0])
-    figure, ball, view, plane = sphere_and_plane()
-    tints = tints_of(chosen.tolist())
+    figure = Figure(figsize=(13.0, 6.8), layout="constrained")
+    ball, plane = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
+    across = "angular velocity across the angular momentum, rad/s"
+    plane.set(aspect="equal", xlabel=across, ylabel=across)
+    plane.grid(visible=True, alpha=0.3)
+    # a map for colour-blind readers
+    tints = colormaps["viridis"](np.linspace(0.0, 0.9, chosen.size))
+    view = sphere_on(ball)
     with np.errstate(invalid="ignore"):
         unit = m / np.linalg.norm(m, axis=-1, keepdims=True)
-    for k, body in enumerate(chosen.tolist()):
-        curve_on(ball, unit[:, k], view, {"color": tints[body], "lw": 1.8})
+    for k, tint in enumerate(tints):
+        curve_on(ball, unit[:, k], view, color=tint, lw=1.8)
         # two unit vectors orthogonal to the momentum and to each other
-        across = space[:, k] @ np.linalg.svd(held[k][None].astype(np.float64))[2][1:].T
-        plane.plot(*across.T, color=tints[body], lw=1.3)
-        plane.plot(*across[:1].T, color=tints[body], marker="o", ms=5)
-    axes_on(ball, "xyz")
+        normal = space[:, k] @ np.linalg.svd(held[k][None].astype(np.float64))[2][1:].T
+        plane.plot(*normal.T, color=tint, lw=1.3, label=f"body {chosen[k]}")
+        plane.plot(*normal[:1].T, color=tint, marker="o", ms=5)
     ball.set_title("Polhode: direction of the angular momentum\nin body axes")
     plane.set_title("Herpolhode: angular velocity\nin inertial axes, from the dot on")
     if chosen.size > 1:
-        entries = [Line2D([], [], color=tints[k], lw=2.4) for k in chosen.tolist()]
-        names = [f"body {k}" for k in chosen]
-        figure.legend(entries, names, loc="outside lower center", ncols=len(names))
+        figure.legend(loc="outside lower center", ncols=chosen.size)
     figure.suptitle(_title(run))
     save(figure, path)
 
@@ -210,47 +205,35 @@ def _percentiles(axes: Any, t: NDArray[Any], values: NDArray[Any], name: str) ->
     axes.set_ylabel(name)
 
 
-def _lines(axes: Any, run: Trajectory, values: NDArray[Any], names: Sequence[str]) -> None:
-    for k, name in enumerate(names):
-        axes.plot(run.t, values[:, k], color=COLOURS[k], ls=_STYLES[k], lw=1.4, label=name)
-
-
-def _axis(axes: Any, run: Trajectory) -> None:
-    _lines(axes, run, _of_one(run, run.dcm[..., 2]), ("X", "Y", "Z"))
-    axes.set(ylabel="third body axis (unit vector)\nalong inertial X, Y, Z", ylim=(-1.1, 1.1))
-    _legend(axes)
-
-
-def _angles(axes: Any, run: Trajectory) -> None:
-    angles = np.degrees(np.unwrap(_of_one(run, run.euler313), axis=0))
+def _of_one(panels: Sequence[Any], run: Trajectory) -> None:
+    """Draw the third axis, the angles and the angular velocity of the only body."""
+    axis, w = run.dcm[..., 2].reshape(-1, 3), run.w.reshape(-1, 3)
+    angles = np.degrees(np.unwrap(run.euler313.reshape(-1, 3), axis=0))
     angles[1:][np.abs(np.diff(angles, axis=0)) > _JUMP] = np.nan
-    _lines(axes, run, angles, "φθψ")
-    axes.set_ylabel("3-1-3 Euler angles, deg")
-    _legend(axes)
-
-
-def _rates(axes: Any, run: Trajectory) -> None:
-    w = _of_one(run, run.w)
-    _lines(axes, run, w, ("$w_x$", "$w_y$", "$w_z$"))
-    axes.plot(run.t, np.linalg.norm(w, axis=-1), color="k", lw=1.8, label="|w|")
-    axes.set_ylabel("angular velocity\nalong body axes, rad/s")
-    _legend(axes)
-
-
-def _of_one(run: Trajectory, values: NDArray[Any]) -> NDArray[Any]:
-    """Values (S, 3) of the only body, without the axis of an ensemble of one."""
-    return np.asarray(values).reshape(len(run.t), 3)
+    drawn = (
+        ("third body axis (unit vector)\nalong inertial X, Y, Z", axis, "XYZ"),
+        ("3-1-3 Euler angles, deg", angles, "φθψ"),
+        ("angular velocity\nalong body axes, rad/s", w, ("$w_x$", "$w_y$", "$w_z$")),
+    )
+    for axes, (label, values, names) in zip(panels, drawn, strict=False):
+        for k, name in enumerate(names):
+            axes.plot(run.t, values[:, k], color=COLOURS[k], ls=_STYLES[k], lw=1.4, label=name)
+        axes.set_ylabel(label)
+    panels[2].plot(run.t, np.linalg.norm(w, axis=-1), color="k", lw=1.8, label="|w|")
+    panels[0].set_ylim(-1.1, 1.1)
+    for axes in panels[:3]:
+        _legend(axes)
 
 
 def _drifts(axes: Any, run: Trajectory, scene: Scene | None) -> None:
-    found: dict[str, Any] = {"norm error": np.abs(run.norm_error)}
+    errors: dict[str, Any] = {"norm error": np.abs(run.norm_error)}
     if scene is not None and as_scene(scene).inertia is not None:
         measured = drift(run, scene)
-        found |= {
+        errors |= {
             "energy, relative": measured.energy,
             "angular momentum, relative": measured.momentum,
         }
-    for k, (name, values) in enumerate(found.items()):
+    for k, (name, values) in enumerate(errors.items()):
         if values is None:
             continue
         each = values.reshape(len(run.t), -1)

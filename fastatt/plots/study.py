@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,33 +36,21 @@ class Panel:
 
     title: str
     x_label: str
-    curves: Sequence[Curve]
+    curves: list[Curve]
 
 
-def work_precision(panels: Sequence[Panel], heading: str, path: Path) -> None:
-    """Draw errors against times, a panel beside the other; methods that lead nowhere are pale."""
-    figure, grid = _figure([panels], heading)
-    grid[0, 0].set_ylabel("largest attitude error at the end, rad")
-    _legend(figure, grid)
-    save(figure, path)
+def draw(rows: Mapping[str, Sequence[Panel]], heading: str, path: str | Path) -> None:
+    """Draw a row of panels for each quantity, by its label; methods that lead nowhere are pale.
 
-
-def drift(rows: dict[str, Sequence[Panel]], heading: str, path: Path) -> None:
-    """Draw drifts against times, with a row of panels for each quantity."""
-    figure, grid = _figure(list(rows.values()), heading)
-    for name, (first, *_) in zip(rows, grid, strict=True):
-        first.set_ylabel(name)
-    _legend(figure, grid)
-    save(figure, path)
-
-
-def _figure(rows: Sequence[Sequence[Panel]], heading: str) -> tuple[Figure, Any]:
-    """Panels with logarithmic axes, which those of a row share."""
-    size = 5.6 * len(rows[0]) + 0.6, 4.2 * len(rows) + 1.6
+    Axes are logarithmic; the panels of a row share them.
+    """
+    panels = [panel for row in rows.values() for panel in row]
+    n_columns = len(panels) // len(rows)
+    size = 5.6 * n_columns + 0.6, 4.2 * len(rows) + 1.6
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(heading)
-    grid = figure.subplots(len(rows), len(rows[0]), sharex="row", sharey="row", squeeze=False)
-    for axes, panel in zip(grid.ravel(), [p for row in rows for p in row], strict=True):
+    grid = figure.subplots(len(rows), n_columns, sharex="row", sharey="row", squeeze=False)
+    for axes, panel in zip(grid.ravel(), panels, strict=True):
         axes.set(xscale="log", yscale="log", title=panel.title, xlabel=panel.x_label)
         axes.grid(visible=True, alpha=0.3)
         styles = styles_of([curve.method for curve in panel.curves])
@@ -73,9 +61,11 @@ def _figure(rows: Sequence[Sequence[Panel]], heading: str) -> tuple[Figure, Any]
             axes.plot(
                 curve.x, y, **styles[curve.method] | pale, markevery=every, label=curve.method
             )
-    for row in grid:
+    for label, row in zip(rows, grid, strict=True):
+        row[0].set_ylabel(label)
         _limits(row)
-    return figure, grid
+    _legend(figure)
+    save(figure, path)
 
 
 def _limits(row: Any) -> None:
@@ -92,11 +82,11 @@ def _limits(row: Any) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
-def _legend(figure: Figure, grid: Any) -> None:
+def _legend(figure: Figure) -> None:
     """One legend below all panels."""
-    lines = [line for axes in grid.ravel() for line in axes.lines]
-    # that of a method which leads is drawn last, and stands for the method
-    named = {line.get_label(): line for line in sorted(lines, key=lambda x: x.get_linewidth())}
+    lines = [line for axes in figure.axes for line in axes.lines]
+    # the legend shows the thickest curve of each method
+    named = {str(line.get_label()): line for line in sorted(lines, key=lambda x: x.get_linewidth())}
     named = {name: named[name] for name in styles_of(list(named))}
     below: dict[str, Any] = {"loc": "outside lower center", "ncols": 6, "frameon": False}
     figure.legend(named.values(), named, **below)

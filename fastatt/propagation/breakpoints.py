@@ -19,35 +19,24 @@ _MOST, _FARTHEST = 10**8, 1e15
 
 def corners_of(scene: Scene) -> NDArray[np.float64]:
     """Times at which steps end, s: ``scene.breakpoints`` and those that models bring."""
-    every = _times_of(scene)
-    return every[_apart(every)]
-
-
-def _times_of(scene: Scene) -> NDArray[np.float64]:
-    """The times of ``corners_of`` before those that are equal to rounding are one."""
     known: NDArray[np.float64] | None = scene.memo.get("corners")
     if known is not None:
         return known
     acting = (scene.rate, scene.torque, scene.force)
     brought = [x.corners() for x in acting if isinstance(x, Model)]
-    found = np.unique(np.concatenate([np.array(scene.breakpoints), *brought]))
-    scene.memo["corners"] = found
-    return found
+    times = np.unique(np.concatenate([np.array(scene.breakpoints), *brought]))
+    scene.memo["corners"] = times
+    return times
 
 
-def _apart(every: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Of sorted times, those that are not equal to the one before to rounding."""
-    found: NDArray[np.bool_] = np.diff(every, prepend=-np.inf) > 16.0 * _EPS * np.abs(every)
-    return found
-
-
-def corners_within(scene: Scene, begin: float, duration: float) -> tuple[float, ...]:
-    """The times at which steps of a run end, s, with at least one before and one after the run."""
-    found = _times_of(scene)
+def breaks_within(scene: Scene, begin: float, duration: float) -> Breaks:
+    """The times at which a run of a scene is divided."""
+    times = corners_of(scene)
     ends = np.sort([begin, begin + duration])
-    # those that are equal to an end, to rounding, are inside
-    low, high = np.searchsorted(found, ends + 32.0 * _EPS * np.abs(ends) * (-1.0, 1.0))
-    return tuple(found[max(low - 2, 0) : high + 2].tolist())
+    # those that are equal to an end, to rounding, are inside; one more before and after the run
+    low, high = np.searchsorted(times, ends + 32.0 * _EPS * np.abs(ends) * (-1.0, 1.0))
+    near = tuple(times[max(low - 2, 0) : high + 2].tolist())
+    return breaks_of(near, begin, duration, scene.sampling)
 
 
 @lru_cache(maxsize=64)
@@ -65,7 +54,7 @@ def breaks_of(
     too, and the start may be one.
     """
     every = np.array(breakpoints, dtype=np.float64)
-    apart = _apart(every)
+    apart = np.diff(every, prepend=-np.inf) > 16.0 * _EPS * np.abs(every)
     # the first and the last of those that are equal to rounding
     every, last = every[apart], every[np.roll(apart, -1)]
     is_sample = np.zeros(every.size, dtype=bool)
@@ -120,8 +109,3 @@ def _with_samples(
     order = np.argsort(every)
     lasts = np.concatenate([lasts[apart], samples])
     return every[order], lasts[order], order >= apart.sum()
-
-
-def breaks_within(scene: Scene, begin: float, duration: float) -> Breaks:
-    """The times at which a run of a scene is divided."""
-    return breaks_of(corners_within(scene, begin, duration), begin, duration, scene.sampling)

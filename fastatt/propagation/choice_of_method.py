@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
-from fastatt.closed_form import form_of
+from fastatt.engine.events import Event
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.breakpoints import corners_of
-from fastatt.propagation.event import Event
-from fastatt.propagation.options import Choice
-from fastatt.scene.scene import Scene, as_scene
+from fastatt.propagation.options import Choice, refuse_pairs
+from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import Dependence
 
 # the default is the first of these that fits the scene and the representation: those first in most
@@ -21,45 +20,14 @@ _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "t
 _PROJECTED = 64
 
 
-def methods_for(scene: Scene, representation: str | None = None, *, need: str = "") -> list[str]:
-    """Names of the methods that fit a scene and a representation.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    representation : str, optional
-        A representation, such as "quat" or "dcm". The default lists methods for any representation.
-    need : str, optional
-        Name of a property of :class:`Method` that must be true, such as "is_stepped".
-
-    Returns
-    -------
-    list of str
-        Names in :data:`fastatt.METHODS`.
-
-    Raises
-    ------
-    TypeError
-        If ``scene`` is not a scene.
-    ValueError
-        If the representation or the property is unknown.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> "magnus4" in fa.methods_for(fa.Scene(rate=fa.rates.Constant((0.1, 0.2, 0.3))))
-    True
-    """
-    as_scene(scene)
-    properties = [name for name, found in vars(Method).items() if isinstance(found, property)]
-    checks.choice("need", need, ["", *properties])
-    if representation is not None:
-        attitude_of(representation)
+def methods_for(
+    scene: Scene, representation: str | None = None, *, stepped: bool = False
+) -> list[str]:
+    """Names of the methods that fit a scene; with ``stepped`` only of those that take steps."""
     return [
         m.name
         for m in METHODS.values()
-        if fits(m, scene, representation) and (not need or getattr(m, need))
+        if fits(m, scene, representation) and (m.is_stepped or not stepped)
     ]
 
 
@@ -76,6 +44,8 @@ def fits(method: Method, scene: Scene, representation: str | None = None) -> boo
 
 def _takes(method: Method, scene: Scene) -> bool:
     if method.is_exact:
+        from fastatt.closed_form import form_of
+
         try:
             return bool(form_of(scene))
         except ValueError:
@@ -95,20 +65,20 @@ def method_of(
     method: str | Method | None,
     representation: str,
     *,
-    need: str = "",
+    stepped: bool = False,
     why: str = "method",
 ) -> Method:
-    """The method of a name, or a custom method, that fits a scene in a representation.
+    """The method of a name, or a user-defined method, that fits a scene in a representation.
 
     None gives the first of magnus6, exact, rk8 and rk4 that fits, or else the first of all methods.
-    ``need`` is that of ``methods_for``, and ``why`` the argument that the message names.
+    ``stepped`` is that of ``methods_for``, and ``why`` the argument that the message names.
 
     Raises ``ValueError`` for a method that does not fit, with those that do, and if none fits.
     """
     attitude_of(representation)  # raises for an unknown name
     if isinstance(method, Method):
         if not fits(method, scene, representation):
-            able = ", ".join(methods_for(scene, representation, need=need))
+            able = ", ".join(methods_for(scene, representation, stepped=stepped))
             raise ValueError(
                 f"method: found {method.name}, for {', '.join(method.scenes)} in "
                 f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
@@ -119,27 +89,29 @@ def method_of(
                 f"method: found {method.name}, whose steps evaluate times outside of them, for a "
                 "scene with breakpoints or samples; accepted: nodes from 0 to 1"
             )
-        found = method
+        record = method
     else:
-        found = METHODS[_named(scene, method, representation, need)]
-    if need and not getattr(found, need):
-        checks.choice(why, found.name, methods_for(scene, representation, need=need))
-    return found
+        record = METHODS[_named(scene, method, representation, stepped)]
+    if stepped and not record.is_stepped:
+        checks.choice(why, record.name, methods_for(scene, representation, stepped=stepped))
+    return record
 
 
-def _named(scene: Scene, method: str | None, representation: str, need: str) -> str:
+def _named(scene: Scene, method: str | None, representation: str, stepped: bool) -> str:
     """The given name if its method fits, or the name of the default method."""
     # users may pass anything, also what has no hash
     known = METHODS.get(method) if isinstance(method, str) else None
     if known is not None and fits(known, scene, representation):
         return known.name
     if known is not None and known.is_exact and scene.kind == "torqued":
+        from fastatt.closed_form import form_of
+
         form_of(scene)  # raises, with the reason
     if method is not None:
-        name, able = "method", methods_for(scene, need=need)
+        name, able = "method", methods_for(scene, stepped=stepped)
         if known is not None and known.name in able:
             name = f'method for representation "{representation}"'
-            able = methods_for(scene, representation, need=need)
+            able = methods_for(scene, representation, stepped=stepped)
         if known is None:
             elsewhere = str(method).casefold() in _ELSEWHERE
             reason = " (nearest: rk8)" if elsewhere else checks.nearest(method, able)
@@ -147,7 +119,7 @@ def _named(scene: Scene, method: str | None, representation: str, need: str) -> 
             reason = _reason(known, scene)
         accepted = ", ".join(able)
         raise ValueError(f"{name}: found {checks.brief(method)}; accepted: {accepted}{reason}")
-    fitting = methods_for(scene, representation, need=need)
+    fitting = methods_for(scene, representation, stepped=stepped)
     if not fitting:
         raise ValueError(
             f"representation: found {representation}, for which no method takes this "
@@ -158,17 +130,17 @@ def _named(scene: Scene, method: str | None, representation: str, need: str) -> 
 
 def _reason(method: Method, scene: Scene) -> str:
     """The reason why a method does not fit a scene, as the end of a message; empty if it fits."""
-    found = "a rate" if scene.kind == "rate" else "inertia"
+    is_rate = scene.kind == "rate"
     if method.window is not None:
         return f" ({method.name} is for samples: fastatt.integrate_rates)"
-    if scene.kind not in method.scenes and (scene.kind == "rate" or "rate" in method.scenes):
-        needed = "inertia" if scene.kind == "rate" else "a rate"
-        return f" ({method.name} needs {needed}; this scene has {found})"
+    if scene.kind not in method.scenes and (is_rate or "rate" in method.scenes):
+        needed, has = ("inertia", "a rate") if is_rate else ("a rate", "inertia")
+        return f" ({method.name} needs {needed}; this scene has {has})"
     if scene.kind not in method.scenes:
         return f" ({method.name} is for {', '.join(method.scenes)} bodies; this is {scene.kind})"
     if scene.is_coupled and not method.couples:
-        what, found = ("velocity", "mass") if scene.moves else ("states", "states")
-        return f" ({method.name} steps no {what}; this scene has {found})"
+        what, has = ("velocity", "mass") if scene.moves else ("states", "states")
+        return f" ({method.name} steps no {what}; this scene has {has})"
     if scene.kind == "torqued" and not _takes(method, scene):
         return (
             f" ({method.name} needs a torque that does not depend on w, but for linear damping "
@@ -199,26 +171,25 @@ def chosen(
     if known is not None:
         return known
     attitude = attitude_of(representation)
-    need, why = "", "method"
-    if events:
-        need, why = "is_stepped", "method with events"
-    if compensated and method is None:
-        need = "is_stepped"
-    record = method_of(scene, method, representation, need=need, why=why)
+    refuse_pairs({"compensated": compensated, "representation": attitude is not QUATERNION})
+    why = "method with events" if events else "method"
+    record = method_of(scene, method, representation, stepped=bool(events), why=why)
+    if events and method is None and method_of(scene, None, representation).is_exact:
+        rounding.warn(
+            f"method: found none with events, which the closed form does not locate; accepted: "
+            f'method="{record.name}", which is taken and steps by dt',
+            RuntimeWarning,
+        )
     projection = _projection(normalise)
-    if compensated:
-        if attitude is not QUATERNION:
-            raise ValueError(
-                f'compensated: found with representation "{attitude.name}"; accepted with "quat"'
-            )
+    if compensated and not record.is_exact:  # a closed form adds up no rounding
         if not record.compensates:
             able = ", ".join(m.name for m in METHODS.values() if m.compensates)
             raise ValueError(f"compensated: found with method {record.name}; accepted with {able}")
         attitude, projection = COMPENSATED, _PROJECTED if normalise == "output" else projection
-    found = Choice(record, attitude, projection, normalise == "never", events)
+    choice = Choice(record, attitude, projection, normalise == "never", events)
     if is_kept:
-        scene.memo[key] = found
-    return found
+        scene.memo[key] = choice
+    return choice
 
 
 def _projection(normalise: str | int) -> int:

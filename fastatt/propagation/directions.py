@@ -12,9 +12,9 @@ from fastatt.attitudes import DIRECTION
 from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.execute import execute
-from fastatt.propagation.initial import Given
-from fastatt.propagation.options import Choice, Clock, RunOptions
-from fastatt.propagation.plan import Plan
+from fastatt.propagation.initial import Initial
+from fastatt.propagation.options import Choice, RunOptions, clock_of
+from fastatt.propagation.plan import prepared
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
@@ -90,8 +90,9 @@ def propagate_directions(
     if v.ndim == 3 and scene.rows is not None:
         scene.packed(len(v))  # raises if the scene has another number of bodies
         scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
-    given = Given.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
-    clock = Clock.of(dt, checks.whole("n_steps", n_steps, 0), save_every)
-    plan = Plan(scene, given.bodies, Choice(record, DIRECTION), clock, given.q.dtype)
-    flat = execute(plan, given, checks.real("t0", t0), RunOptions(number_of(n_threads)))
+    start = Initial.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
+    t0 = checks.real("t0", t0)
+    clock = clock_of(dt, n_steps, None, save_every, t0=t0)
+    plan = prepared(scene, start.bodies, Choice(record, DIRECTION), clock, start.q.dtype)
+    flat = execute(plan, start, t0, RunOptions(number_of(n_threads)))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

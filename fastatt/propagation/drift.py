@@ -16,8 +16,7 @@ from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
-from fastatt.scene.torque_record import Torque
-from fastatt.scene.torques import lever_of
+from fastatt.scene.torque_record import Torque, lever_of
 
 # why quantities are not conserved
 _REASONS = {
@@ -38,10 +37,10 @@ class Drift:
     Attributes
     ----------
     norm : ndarray
-        The norm error ``||q| − 1|`` of the propagated state, before it was projected for output.
+        The norm error ``||q| − 1|`` of the propagated state, before it was renormalised.
     orthogonality : ndarray
         The orthogonality error ‖C Cᵀ − 1‖ (Frobenius norm) of the propagated state, before it was
-        projected for output.
+        renormalised.
     energy : ndarray or None
         The change of kinetic plus potential energy since the first save, relative to the largest
         kinetic energy of all saves. The kinetic energy is that of the rotation, and also that of
@@ -116,7 +115,7 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     TypeError
         If the arguments are not a trajectory and a scene.
     ValueError
-        If the run has one save only, from which nothing changes.
+        If the run has one save only, to which nothing can be compared.
 
     Examples
     --------
@@ -188,8 +187,8 @@ def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
         largest = np.linalg.norm(inside, axis=-1)
         if isinstance(torque, ReactionWheels):
             inside = inside + torque.momentum(trajectory.s)
-            own = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
-            largest = np.maximum(largest, own)
+            of_wheel = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
+            largest = np.maximum(largest, of_wheel)
         elif wheels is not None:
             of_wheels = _of_wheels(wheels(), trajectory)
             inside = inside + of_wheels
@@ -214,10 +213,10 @@ def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:
     """Angular momentum of wheels, which broadcasts against (S, N, 3), or (S, 3) for one body."""
     if not isinstance(momentum, TimeSeries):
         return np.asarray(momentum)
-    found = momentum.at(trajectory.t)
+    momenta = momentum.at(trajectory.t)
     if trajectory.one_body:
-        return found.reshape(-1, 3)
-    return found if found.ndim == 3 else found[:, None]
+        return momenta.reshape(-1, 3)
+    return momenta if momenta.ndim == 3 else momenta[:, None]
 
 
 def _relative(change: NDArray[Any], scale: NDArray[Any]) -> NDArray[Any]:

@@ -18,19 +18,20 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.files import writing
-from fastatt.propagation.initial import Given
+from fastatt.propagation.initial import Initial
 
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 8
+_FORMAT = 9
+_ARRAYS = ("q", "y", "states", "params")
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 #: the rest of a message about a trajectory without its end
 NO_END = (
     "a trajectory that does not hold its end; accepted: one of propagate or resume by a method "
-    f"that takes steps, of at most {MOST} bodies (of more with checkpoint=), with one step size, a "
-    "whole last step (t_end a multiple of dt) and without save_at"
+    f"that takes steps, of at most {MOST} bodies (of more with checkpoint=), with one step size "
+    "and a whole last step (t_end a multiple of dt away)"
 )
 
 
@@ -38,41 +39,29 @@ NO_END = (
 class End:
     """The last state of a run as the engine carries it, its initial values, and its options."""
 
-    given: Given
-    states: NDArray[Any]
-    done: int
-    t0: float
+    #: arguments of the run by name; ``done`` steps, hashes of the operations of a step
+    #: (``equations``) and of the events (``watched``), and whether it is ``one_body``'s
     about: dict[str, Any]
+    #: initial attitudes, and the other initial values
+    q: NDArray[Any]
+    y: NDArray[Any]
+    states: NDArray[Any]
     params: NDArray[np.float64]
-    #: a hash of the operations of a step, and one of the events
-    equations: str
-    watched: str
     #: what the run keeps of its events: their last values, found times, states of stopped bodies
     events: list[NDArray[Any]]
 
+    @property
+    def start(self) -> Initial:
+        """The initial values."""
+        return Initial(self.q, self.y, self.about["one_body"])
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the end to a file, completely or not at all."""
-        given = self.given
-        header = {
-            "format": _FORMAT,
-            "done": self.done,
-            "t0": self.t0.hex(),
-            "equations": self.equations,
-            "watched": self.watched,
-            "one_body": given.one_body,
-            **self.about,
-        }
+        header = np.array(json.dumps({"format": _FORMAT, **self.about}))
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         events: dict[str, Any] = {f"events_{i}": x for i, x in enumerate(self.events)}
         with writing("path", path) as file:
-            np.savez(
-                file,
-                header=np.array(json.dumps(header)),
-                q=given.q,
-                y=given.y,
-                states=self.states,
-                params=self.params,
-                **events,
-            )
+            np.savez(file, header=header, **arrays, **events)
 
 
 def loaded(path: str | os.PathLike[str]) -> End:
@@ -85,17 +74,8 @@ def loaded(path: str | os.PathLike[str]) -> End:
             about = json.loads(str(file["header"]))
             if about.pop("format") != _FORMAT:
                 raise KeyError("format")
-            return End(
-                given=Given(file["q"], file["y"], about.pop("one_body")),
-                states=file["states"],
-                done=about.pop("done"),
-                t0=float.fromhex(about.pop("t0")),
-                equations=about.pop("equations"),
-                watched=about.pop("watched"),
-                events=[file[name] for name in sorted(file) if name.startswith("events_")],
-                params=file["params"],
-                about=about,
-            )
+            events = [file[name] for name in sorted(file) if name.startswith("events_")]
+            return End(about, **{name: file[name] for name in _ARRAYS}, events=events)
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
         raise ValueError(
             f"run: {str(path)!r} is not the end of a run; accepted: a file that "
@@ -120,12 +100,13 @@ def end_of(run: Any) -> End:
 
 def check(end: End, plan: Plan) -> None:
     """Refuse to resume with another scene, or with other events where bodies have stopped."""
-    if not np.array_equal(end.params, plan.packed.params) or end.equations != plan.equations:
+    is_same = end.about["equations"] == plan.equations
+    if not (is_same and np.array_equal(end.params, plan.packed.params)):
         raise ValueError(
             "scene: differs from that of the run that is resumed, or a method of one's own does; "
             "accepted: the same"
         )
-    if end.watched != plan.watched and not np.isnan(end.events[2]).all():
+    if end.about["watched"] != plan.watched and not np.isnan(end.events[2]).all():
         raise ValueError(
             "events: found others than those of the run that is resumed; accepted: the same, since "
             "bodies stop at terminal ones"

@@ -12,11 +12,10 @@ from fastatt import checks
 from fastatt.arrays import quat_rotate
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
-from fastatt.scene import torques
 from fastatt.scene.equations import Body, RigidBody
 from fastatt.scene.inertia import is_tensor
-from fastatt.scene.scene import Scene, as_scene
-from fastatt.scene.torque_record import Beside, Pose
+from fastatt.scene.scene import Scene
+from fastatt.scene.torque_record import CoupledStates, Pose, potential_of
 from fastatt.tracing.formulas import quat
 
 
@@ -51,15 +50,15 @@ def angular_momentum(
     [1.0, 0.0, 1.0]
     """
     rates = checks.array("w", w, "(3,), (N, 3) or (S, N, 3)", flag=True)
-    given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
-    tensor = is_tensor(given)
+    moments = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
+    tensor = is_tensor(moments)
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            m = np.einsum("...ij,...j->...i", given, rates) if tensor else given * rates
+            m = np.einsum("...ij,...j->...i", moments, rates) if tensor else moments * rates
         return np.asarray(m if q is None else quat_rotate(q, m))
     except ValueError:
         raise ValueError(
-            f"w: has shape {rates.shape}, inertia {given.shape}, q {np.asarray(q).shape}; "
+            f"w: has shape {rates.shape}, inertia {moments.shape}, q {np.asarray(q).shape}; "
             "accepted: one number of bodies"
         ) from None
 
@@ -100,60 +99,22 @@ def kinetic_energy(w: ArrayLike, inertia: ArrayLike) -> NDArray[np.float64]:
 def potential_energy(
     scene: Scene, q: ArrayLike, t: ArrayLike = 0.0, r: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Potential energy of a scene's torque.
+    """Potential energy, J, (), (N,) or (S, N), of a scene that has one, 0 without a torque.
 
-    Parameters
-    ----------
-    scene : Scene
-        A scene whose torque has a potential; each class of :mod:`fastatt.torques` says whether it
-        has one. Without a torque the result is zero.
-    q : array_like of shape (4,), (N, 4) or (S, N, 4)
-        Attitudes, body to inertial, of any norm above zero.
-    t : float or array_like of shape (S,), default 0.0
-        Time or times, s.
-    r : array_like of shape (3,), (N, 3) or (S, N, 3), optional
-        Positions along inertial axes, m, if the torque depends on them. The energy is then that of
-        torque and force together.
-
-    Returns
-    -------
-    ndarray of shape (), (N,) or (S, N)
-        Potential energy, J.
-
-    Raises
-    ------
-    ValueError
-        If the torque has no potential, or if a shape does not fit.
-    TypeError
-        If an argument has the wrong type.
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0, 0, 0.1), 10.0))
-    >>> float(fa.potential_energy(top, [1, 0, 0, 0]))
-    1.0
+    If it depends on the position ``r``, m, along inertial axes, that of torque and force together.
     """
-    as_scene(scene)
-    attitudes = checks.array("q", q, "(4,), (N, 4) or (S, N, 4)", flag=True)
-    found = np.reshape(attitudes, (-1, *((1, *attitudes.shape)[-2:])))
-    packed = scene.packed(found.shape[1] if attitudes.ndim > 1 else 1)
+    q = np.asarray(q)
+    attitudes = np.reshape(q, (-1, *((1, *q.shape)[-2:])))
+    packed = scene.packed(attitudes.shape[1] if q.ndim > 1 else 1)
     turning = packed.structure.turning
-    if not isinstance(turning, RigidBody) or not torques.has_potential(turning.law):
-        raise ValueError("scene: its torque has no potential; accepted: one that has, or none")
-    if (r is None) == scene.reads_position:
-        told, wanted = ("none", "positions") if r is None else ("positions", "none")
-        raise ValueError(f"r: found {told}; accepted of this scene's torque: {wanted}")
     shape = (*attitudes.shape[:-1], 3)
-    places = np.zeros(shape) if r is None else checks.array("r", r, str(shape), flag=True)
-    times = checks.array("t", t, f"a number or ({len(found)},)")
-    times = np.broadcast_to(times.astype(np.float64), found.shape[:1])
+    positions = np.zeros(shape) if r is None else np.reshape(r, shape)
+    times = np.broadcast_to(np.asarray(t, np.float64), attitudes.shape[:1])
     p = packed.params[..., : turning.n_params]
     inputs = {"t": None, "q": 4, "r": 3, "p": turning.n_params}
     potential = rows(partial(_potential, turning), inputs, (None,), key=(_potential, turning))
-    at = places.reshape(*found.shape[:-1], 3)
-    (energies,) = potential(times[:, None], found, at, p, tables=packed.tables)
-    return np.asarray(energies).reshape(attitudes.shape[:-1])
+    (energies,) = potential(times[:, None], attitudes, positions, p, tables=packed.tables)
+    return np.asarray(energies).reshape(q.shape[:-1])
 
 
 def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
@@ -162,5 +123,5 @@ def _potential(structure: RigidBody, t: Any, q: Any, r: Any, p: Any) -> Any:
     if motion.axes is not None:
         q = quat.mul(q, motion.axes)
     none = (0.0, 0.0, 0.0)
-    pose = Pose(QUATERNION, q, none, motion.moments, Beside(none, r), motion.axes_given)
-    return (torques.potential_of(structure.law, t, pose, motion.torque_numbers),)
+    pose = Pose(QUATERNION, q, none, motion.moments, CoupledStates(none, r), motion.axes_given)
+    return (potential_of(structure.law, t, pose, motion.torque_numbers),)

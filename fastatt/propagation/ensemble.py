@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fastatt._cached import cached_property
 from fastatt.propagation.initial import INITIAL, initial
@@ -26,23 +26,15 @@ class Ensemble:
     taken: NDArray[np.intp] | None = None  # the rows of another ensemble that these are
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        q0: ArrayLike,
-        w0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        r0: ArrayLike | None = None,
-        s0: ArrayLike | None = None,
-    ) -> Ensemble:
-        """An ensemble from the arguments of ``propagate``.
+    def of(cls, scene: Scene, *values: Any) -> Ensemble:
+        """An ensemble from a scene and initial values, in the order of ``INITIAL``.
 
         Raises ``TypeError`` if ``scene`` is not a scene, and errors as ``propagate`` does.
         """
-        start, beside = initial(as_scene(scene), (q0, w0, v0, r0, s0), flag=False)
-        found = cls(scene, start, **beside)
-        scene.packed(found.size)
-        return found
+        q0, others = initial(as_scene(scene), values)
+        ensemble = cls(scene, q0, **others)
+        scene.packed(ensemble.size)
+        return ensemble
 
     @property
     def initial(self) -> dict[str, Any]:

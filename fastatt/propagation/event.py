@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
+from dataclasses import replace
 
 from fastatt import checks
-from fastatt.engine.events import Watch
-from fastatt.scene.models import Packed, resources_of
+from fastatt.engine.events import Event
+from fastatt.scene.models import Packed, parameters, resources_of
 from fastatt.scene.scene import Scene
-from fastatt.tracing.references import called_as, required_arguments
-from fastatt.tracing.user import FORMS, user_function
+from fastatt.tracing.user import FORMS, UserFunction
 
 #: the form in ``FORMS`` and whether it takes states, by the number of the function's arguments
 _FORMS = {
@@ -24,60 +20,13 @@ _FORMS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
-    """A function of the motion whose first zero crossing is located; :func:`event` makes it.
-
-    Attributes
-    ----------
-    function : callable
-        The function.
-    direction : {-1, 0, 1}
-        The direction of the crossing.
-    terminal : bool
-        Whether the body stops there.
-    """
-
-    function: Callable[..., Any]
-    direction: int = 0
-    terminal: bool = False
-
-    def watch(self, scene: Scene, position: bool) -> Watch:
-        """The function with the scene's parameters, and its direction, as the engine takes them.
-
-        Raises ``TypeError`` and ``ValueError`` for a function that does not fit the scene.
-        """
-        found = _FORMS.get(len(required_arguments(self.function)))
-        if found is None:
-            accepted = ", ".join(FORMS[name].with_states(n).call for name, n in _FORMS.values())
-            raise TypeError(f"event: found {called_as(self.function)}; accepted: {accepted}")
-        form, is_of_states = found
-        call = FORMS[form].with_states(is_of_states).call
-        if form == "event at position" and not position:
-            raise ValueError(
-                f"event: found {call}, but no position is carried; accepted: with r0, in a scene "
-                "with mass"
-            )
-        if is_of_states and not scene.states:
-            raise ValueError(
-                f"event: found {call}, but the scene has no states; accepted: {FORMS[form].call}, "
-                "or a scene with states"
-            )
-        params = None
-        if scene.params is not None:
-            params = np.atleast_1d(np.asarray(scene.params, dtype=np.float64))
-        count = 0 if params is None else params.shape[-1]
-        states = scene.states if is_of_states else 0
-        made = user_function(self.function, form, count, params, states)
-        return Watch(made, self.direction, self.terminal)
-
-
 def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
     """Locate the first time at which a function of a body's motion crosses zero.
 
     The result is passed to ``fastatt.propagate(..., events=[...])``. ``Trajectory.event_times``
     holds the time for each body, as accurate as the method, and NaN where no crossing was found.
-    The function is traced, as torques are, so that it becomes part of the compiled loop.
+    The function is frozen when ``propagate`` or ``plan`` begins, with the values that it refers to.
+    It is then followed, called or refused, as torques are.
 
     Parameters
     ----------
@@ -140,20 +89,49 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     return Event(g, int(way), checks.flag("terminal", terminal))
 
 
-def events_of(events: Event | Sequence[Event]) -> tuple[Event, ...]:
-    """The events of a run as a tuple.
+def _frozen(event: Event, scene: Scene, position: bool) -> Event:
+    """The event with its function as it is now, for the parameters of a scene.
 
-    Raises ``TypeError`` for anything else.
+    Raises ``TypeError`` and ``ValueError`` for a function that does not fit the scene.
     """
-    found = (events,) if isinstance(events, Event) else events
-    if not isinstance(found, (list, tuple)) or not all(isinstance(x, Event) for x in found):
+    function = event.function
+    if not isinstance(function, UserFunction):
+        function = UserFunction(function)
+    if len(function.required) not in _FORMS:
+        accepted = ", ".join(FORMS[name].with_states(n).call for name, n in _FORMS.values())
+        raise TypeError(f"event: found {function.called_as}; accepted: {accepted}")
+    form, is_of_states = _FORMS[len(function.required)]
+    call = FORMS[form].with_states(is_of_states).call
+    if form == "event at position" and not position:
+        raise ValueError(
+            f"event: found {call}, but no position is carried; accepted: with r0, in a scene "
+            "with mass"
+        )
+    if is_of_states and not scene.states:
+        raise ValueError(
+            f"event: found {call}, but the scene has no states; accepted: {FORMS[form].call}, "
+            "or a scene with states"
+        )
+    params, states = parameters("params", scene.params), scene.states if is_of_states else 0
+    return replace(event, function=function.of(form, params.shape[-1], params, states))
+
+
+def events_of(
+    events: Event | Sequence[Event], scene: Scene, *, position: bool
+) -> tuple[Event, ...]:
+    """The events of a run of a scene as a tuple, frozen; ``position`` is propagated.
+
+    Raises ``TypeError`` for anything else, and for functions that do not fit the scene.
+    """
+    listed = (events,) if isinstance(events, Event) else events
+    if not isinstance(listed, (list, tuple)) or not all(isinstance(x, Event) for x in listed):
         raise TypeError(f"events: found {checks.brief(events)}; accepted: a list of fastatt.event")
-    return tuple(found)
+    return tuple(_frozen(x, scene, position or scene.needs_position) for x in listed)
 
 
-def watching(packed: Packed, watches: Sequence[Watch]) -> Packed:
+def watching(packed: Packed, events: Sequence[Event]) -> Packed:
     """The structure and parameters of a scene, with those that its events need."""
-    found = dict(packed.resources)
-    for watch in watches:
-        found |= resources_of(watch.function)
-    return packed._replace(resources=found)
+    resources = dict(packed.resources)
+    for event in events:
+        resources |= resources_of(event.function)
+    return packed._replace(resources=resources)

@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.engine.run import Results
-from fastatt.files import writing
+from fastatt.files import target, writing
+from fastatt.propagation.end import End
+from fastatt.propagation.options import Clock, RunOptions, refuse_pairs
 from fastatt.propagation.trajectory import Trajectory
+from fastatt.threads import number_of
 
 # bytes below which the free memory is not checked
 _LITTLE = 1 << 30
+# body-steps below which one thread is as fast as several; 2 ms of the slowest method
+_SHORT = 65_536
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,10 @@ class ToFile:
     """
 
     path: Path
+
+
+#: what ``on_save`` accepts
+OnSave = Callable[[Trajectory], object] | ToFile
 
 
 def to_file(path: str | os.PathLike[str]) -> ToFile:
@@ -64,29 +73,51 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     >>> fa.to_file("history.npy").path.name
     'history.npy'
     """
-    target = checks.path("path", path, "a path, *.npy")
-    if target.suffix != ".npy":
-        raise ValueError(f"path: found {checks.brief(target.name)}; accepted: *.npy")
-    return ToFile(target)
+    file = checks.path("path", path, "a path, *.npy")
+    if file.suffix != ".npy":
+        raise ValueError(f"path: found {checks.brief(file.name)}; accepted: *.npy")
+    return ToFile(file)
 
 
-def saving(on_save: Any) -> tuple[Callable[[Trajectory], object] | None, Path | None]:
-    """The function and the file in ``on_save``, each at most once.
+def options_of(
+    clock: Clock, n_bodies: int, n_threads: int | None, progress: bool, on_save: Any,
+    checkpoint: Any, resumed: End | None = None,
+) -> RunOptions:  # fmt: skip
+    """The options of a run by ``propagate`` or ``resume``, whose trajectory holds its end.
 
-    Raises ``TypeError`` and ``ValueError`` for anything else.
+    Raises ``ValueError`` and ``TypeError`` for arguments that do not fit.
     """
-    given = on_save if isinstance(on_save, (list, tuple)) else [on_save]
-    files = [x.path for x in given if isinstance(x, ToFile)]
-    functions = [x for x in given if x is not None and not isinstance(x, ToFile)]
-    for found in functions:
-        if not callable(found):
+    takers = [*on_save] if isinstance(on_save, (list, tuple)) else [on_save]
+    files = [x.path for x in takers if isinstance(x, ToFile)]
+    functions = [x for x in takers if x is not None and not isinstance(x, ToFile)]
+    for taker in functions:
+        if not callable(taker):
             raise TypeError(
-                f"on_save: found {checks.brief(found)}; accepted: a function, fa.to_file(path), or "
+                f"on_save: found {checks.brief(taker)}; accepted: a function, fa.to_file(path), or "
                 "one of each"
             )
     if max(len(files), len(functions)) > 1:
         raise ValueError("on_save: found two of a kind; accepted: one function and one file")
-    return next(iter(functions), None), next(iter(files), None)
+    is_given = {"on_save": on_save is not None, "checkpoint": checkpoint is not None}
+    refuse_pairs({"dt (N,)": clock.is_per_body, **is_given})
+    if on_save is not None and clock.every is None and clock.save_at is None:
+        raise ValueError("on_save: found without saves; accepted: with save_every or save_at")
+    return RunOptions(
+        threads_of(n_threads, n_bodies, clock.n_steps),
+        progress=progress,
+        on_save=next(iter(functions), None),
+        file=next(iter(files), None),
+        checkpoint=None if checkpoint is None else target("checkpoint", checkpoint),
+        resumed=resumed,
+        keep_end=True,
+    )
+
+
+def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
+    """The number of threads of a run; by default one for a short run."""
+    if n_threads is None and n_bodies * n_steps < _SHORT:
+        return 1
+    return number_of(n_threads)
 
 
 class History:
@@ -98,7 +129,7 @@ class History:
     def __init__(self, target: Path, shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
         #: the number of saves in the file
         self.saves = 0
-        _check_room(shape, kind, _free_on_disk(target), "disk")
+        check_room(shape, kind, target)
         shape = (*shape[:2], shape[2] + 1)
         if target.exists() and not target.is_file():
             raise ValueError(
@@ -126,29 +157,21 @@ class History:
         return Results(self.array[:saves], status, np.empty((status.size, 0)))
 
 
-def check_memory(shape: tuple[int, int, int], kind: np.dtype[Any]) -> None:
-    """Raise ``MemoryError``, with the sizes, if an array does not fit into memory."""
-    if _bytes(shape, kind) > _LITTLE and (free := _available()) is not None:
-        _check_room(shape, kind, free, "memory")
-
-
-def _bytes(shape: tuple[int, int, int], kind: np.dtype[Any]) -> int:
-    return shape[0] * shape[1] * (shape[2] + 1) * kind.itemsize
-
-
-def _check_room(shape: tuple[int, int, int], kind: Any, free: int, where: str) -> None:
-    saves, bodies, _ = shape
-    need = _bytes(shape, kind)
-    if need > _LITTLE and need > free:
+def check_room(shape: tuple[int, int, int], kind: np.dtype[Any], file: Path | None = None) -> None:
+    """Raise ``MemoryError``, with the sizes, if saves do not fit into memory or on the disk."""
+    saves, bodies, values = shape
+    need = saves * bodies * (values + 1) * kind.itemsize
+    if need <= _LITTLE:
+        return
+    free, where = _available(), "memory"
+    if file is not None:
+        free, where = shutil.disk_usage(file.resolve().parent).free, "disk"
+    if free is not None and need > free:
         raise MemoryError(
             f"save_every: {saves} saves of {bodies} bodies take {need / 1e9:.3g} GB, of "
             f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, or "
             'on_save=fa.to_file("history.npy") on a disk that holds them'
         )
-
-
-def _free_on_disk(path: Path) -> int:
-    return shutil.disk_usage(path.resolve().parent).free
 
 
 def _available() -> int | None:

@@ -15,7 +15,7 @@ from fastatt.scene.scene import Scene
 INITIAL = ("q0", "w0", "v0", "r0", "s0")
 
 
-class Given(NamedTuple):
+class Initial(NamedTuple):
     """Initial states in the precision of a run: attitudes (N, 4), and the other values (N, k).
 
     A single row is shared by all bodies.
@@ -31,7 +31,7 @@ class Given(NamedTuple):
         return max(len(self.q), len(self.y))
 
     @classmethod
-    def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], kind: Any) -> Given:
+    def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], kind: Any) -> Initial:
         """Initial states from attitudes (4,) or (N, 4) and vectors (k,) or (N, k)."""
         values = list(carried.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
@@ -54,54 +54,33 @@ def _rows(values: NDArray[Any], kind: Any) -> NDArray[Any]:
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 
-def initial(
-    scene: Scene, values: Sequence[Any], *, flag: bool
-) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Attitudes, and the other initial values in the order of the state.
 
-    ``values`` are in the order of ``INITIAL``; with ``flag`` they need not be finite.
+    ``values`` are in the order of ``INITIAL``.
 
     Raises ``ValueError`` and ``TypeError`` for values that do not fit the scene, and for different
     numbers of bodies.
     """
     q0, w0, v0, r0, s0 = values
-    start = checks.attitudes("q0", q0, flag=flag)
-    has_inertia = scene.kind != "rate"
-    found = {}
-    for name, value, wanted, needed in (
-        ("w0", w0, has_inertia, True),
-        ("v0", v0, scene.moves, True),
-        ("r0", r0, scene.moves, scene.needs_position),
-        ("s0", s0, scene.states > 0, True),
+    start = checks.attitudes("q0", q0)
+    n, carried = scene.states or "n", {}
+    placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
+    for name, value, size, wanted, needed, taken in (
+        ("w0", w0, 3, scene.kind != "rate", True, "with inertia needs (3,) or (N, 3), rad/s"),
+        ("v0", v0, 3, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
+        ("r0", r0, 3, scene.moves, scene.needs_position, f"{placed} (3,) or (N, 3), m"),
+        ("s0", s0, n, scene.states > 0, True, f"with states needs ({n},) or (N, {n})"),
     ):
         if value is None:
             if wanted and needed:
-                raise ValueError(f"{name}: is missing; {_taken(name, scene)}")
+                raise ValueError(f"{name}: is missing; a scene {taken}")
         elif wanted:
-            n = scene.states if name == "s0" else 3
-            found[name] = checks.array(name, value, f"({n},) or (N, {n})", flag=flag)
+            carried[name] = checks.array(name, value, f"({size},) or (N, {size})")
         else:
-            raise ValueError(f"{name}: found, but this scene has none; {_taken(name, scene)}")
-    same_number({**found, "q0": start})
-    return start, found
-
-
-def _taken(name: str, scene: Scene) -> str:
-    """Which scenes take an initial value, and its shapes, as a part of a message."""
-    placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
-    n = scene.states or "n"
-    three = "(3,) or (N, 3)"
-    return {
-        "w0": f"a scene with inertia needs {three}, rad/s",
-        "v0": f"a scene with mass needs {three}, m/s",
-        "r0": f"a scene {placed} {three}, m",
-        "s0": f"a scene with states needs ({n},) or (N, {n})",
-    }[name]
-
-
-def same_number(values: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse arrays with different numbers of bodies."""
-    rows = {name: len(value) for name, value in values.items() if value.ndim == 2}
+            raise ValueError(f"{name}: found, but this scene has none; a scene {taken}")
+    rows = {name: len(x) for name, x in {**carried, "q0": start}.items() if x.ndim == 2}
     if len(set(rows.values()) - {1}) > 1:
         told = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
+    return start, carried

@@ -11,7 +11,7 @@ from fastatt import checks
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import WIDTH, Job
 from fastatt.methods import Method
-from fastatt.propagation.choice_of_method import chosen, method_of
+from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.tracing import source
 
@@ -95,8 +95,7 @@ def inspect_step(
 
 def job_of(scene: Scene, method: Any, representation: Any, kind: Any) -> Job:
     """The job of a scene, without its bodies."""
-    record = method_of(scene, method, representation, need="is_stepped")
-    choice = chosen(scene, record, representation)
-    packed = scene.packed(None, sorted_axes=choice.method.sorted_axes)
-    shared = packed.params.ndim == 1
-    return Job(choice.method, choice.attitude, packed.structure, kind_of(kind), shared=shared)
+    record = method_of(scene, method, representation, stepped=True)
+    packed = scene.packed(None, sorted_axes=record.sorted_axes)
+    attitude, shared = attitude_of(representation), packed.params.ndim == 1
+    return Job(record, attitude, packed.structure, kind_of(kind), shared=shared)

@@ -122,14 +122,14 @@ def interpolate(
     >>> q.shape, w.shape
     ((4,), (3,))
     """
-    flag = checks.flags_invalid(invalid)
+    flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
     if isinstance(t, Trajectory):
         if w is not None or (q is not None and times is not None):
             raise TypeError("q, w: found with a run; accepted: interpolate(run, times)")
         return _run_between(t, q if times is None else times, flag=flag)
     when, asked = _checked_times(t, times)
-    found = _checked_between(when, q, w, asked.ravel(), flag=flag)
-    q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in found)
+    motion = _checked_between(when, q, w, asked.ravel(), flag=flag)
+    q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in motion)
     return q_out, w_out
 
 
@@ -137,7 +137,9 @@ def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory
     """A run at times between its saves."""
     when, asked = _checked_times(run.t, times)
     asked = np.atleast_1d(asked)
-    stopped = _stopped(run)
+    stopped = np.zeros(run.status.size, dtype=bool)
+    if run.crossings is not None:
+        np.isfinite(run.crossings[:, list(run.terminal)]).any(axis=1, out=stopped)
     if stopped.any() and not flag:
         raise ValueError(
             f"run: body {stopped.argmax()} was stopped by a terminal event "
@@ -145,7 +147,7 @@ def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory
             'invalid="flag" leaves them out'
         )
     many = (when.size, run.status.size)
-    found = _checked_between(
+    motion = _checked_between(
         when, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, flag=flag
     )
     carried = {
@@ -155,22 +157,15 @@ def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory
     }
     # a prescribed rate is known at any time, unless the run was pickled
     if run.packed is None or "w" in run.carried:
-        carried["w"] = found[1]
-    for values in (found[0], *carried.values()):
+        carried["w"] = motion[1]
+    for values in (motion[0], *carried.values()):
         values[:, stopped] = np.nan
     way = np.sign(when[1] - when[0])
     before = np.searchsorted(way * when, way * asked, side="right") - 1
     return replace(
-        run, t=asked, state=found[0], norm_error=run.norm_error[before], attitude=QUATERNION,
+        run, t=asked, state=motion[0], norm_error=run.norm_error[before], attitude=QUATERNION,
         carried=carried, end=None,
     )  # fmt: skip
-
-
-def _stopped(run: Trajectory) -> NDArray[np.bool_]:
-    """Bodies that a terminal event has stopped, (N,)."""
-    if run.found is None:
-        return np.zeros(run.status.size, dtype=bool)
-    return np.asarray(np.isfinite(run.found[:, list(run.terminal)]).any(axis=1))
 
 
 def _columns_between(
@@ -222,13 +217,13 @@ def _polynomial(
     """The polynomial through the nearest saves, at most so many, at times within ``t``."""
     n = min(most, t.size)
     nodes, places, _, _ = _around(t, times, n)
-    found = np.zeros((times.size, columns.shape[1]))
+    total = np.zeros((times.size, columns.shape[1]))
     for k in range(n):
-        others, own = np.delete(places, k, axis=1), places[:, k]
-        weight = ((times[:, None] - others) / (own[:, None] - others)).prod(axis=1)
+        others, itself = np.delete(places, k, axis=1), places[:, k]
+        weight = ((times[:, None] - others) / (itself[:, None] - others)).prod(axis=1)
         # a save that is not finite has no part in the saves themselves
-        found += np.where(weight[:, None] == 0.0, 0.0, weight[:, None] * columns[nodes[:, k]])
-    return found
+        total += np.where(weight[:, None] == 0.0, 0.0, weight[:, None] * columns[nodes[:, k]])
+    return total
 
 
 def _around(
@@ -246,11 +241,11 @@ def _around(
     start, end = rising[left], rising[left + 1]
     below, above = [left], [left + 1]
     for _ in range(n - 2):
-        at = rising[np.maximum(below[-1], 0)]
-        next_ = at - np.maximum(0.5 * (end - start), 0.1 * (start - at))
+        edge = rising[np.maximum(below[-1], 0)]
+        next_ = edge - np.maximum(0.5 * (end - start), 0.1 * (start - edge))
         below.append(np.minimum(np.searchsorted(rising, next_, side="right"), below[-1]) - 1)
-        at = rising[np.minimum(above[-1], t.size - 1)]
-        next_ = at + np.maximum(0.5 * (end - start), 0.1 * (at - end))
+        edge = rising[np.minimum(above[-1], t.size - 1)]
+        next_ = edge + np.maximum(0.5 * (end - start), 0.1 * (edge - end))
         above.append(np.maximum(np.searchsorted(rising, next_), above[-1] + 1))
     every = np.stack([*below[::-1], *above], axis=1)
     exist = (every >= 0) & (every < t.size)
@@ -291,22 +286,22 @@ def _between(
     nodes, places, exist, left = _around(t, times, many)
     far = _far(t, w, np.unique(nodes[:, :-1][exist[:, 1:]]), flag=flag)
     # the two ends of the interval come first
-    own = left[:, None] + np.arange(2)
-    is_other = (nodes != own[:, :1]) & (nodes != own[:, 1:]) | ~exist
+    ends = left[:, None] + np.arange(2)
+    is_other = (nodes != ends[:, :1]) & (nodes != ends[:, 1:]) | ~exist
     order = np.argsort(is_other, axis=1, kind="stable")
     nodes = np.take_along_axis(nodes, order, axis=1)
     places = np.take_along_axis(places, order, axis=1)
     exist = np.take_along_axis(exist, order, axis=1)
-    span = np.diff(t[own])
-    at = (places - t[own[:, :1]]) / span
-    s = (times - t[own[:, 0]]) / span[:, 0]
+    span = np.diff(t[ends])
+    shares = (places - t[ends[:, :1]]) / span
+    s = (times - t[ends[:, 0]]) / span[:, 0]
     clock = np.concatenate(
         [
             s[:, None],
             span,
-            np.where(exist, at, 0.0)[:, 2:],
-            _weights(at[:, :2], s),
-            _weights(at, s),
+            np.where(exist, shares, 0.0)[:, 2:],
+            _weights(shares[:, :2], s),
+            _weights(shares, s),
         ],
         axis=1,
     ).astype(kind)
@@ -392,7 +387,7 @@ def _through(clock: Any, *saves: Any) -> Any:
     """(q, w, difference from the cubic through two saves), from n attitudes and n rates."""
     n = len(saves) // 2
     q, w = saves[:n], saves[n:]
-    s, h, at = clock[0], clock[1], clock[2:n]
+    s, h, shares = clock[0], clock[1], clock[2:n]
     two, all_of = clock[n : n + 8], clock[n + 8 :]
     phi = quat.log(quat.mul(quat.conj(q[0]), quat.normalise(q[1])))
 
@@ -402,7 +397,7 @@ def _through(clock: Any, *saves: Any) -> Any:
 
     start = quat.normalise(q[0])
     values, slopes = [], [minus(scale(h, x), phi) for x in w[:2]]
-    for k, x, rate in zip(at, q[2:], w[2:], strict=True):
+    for k, x, rate in zip(shares, q[2:], w[2:], strict=True):
         reference = quat.mul(start, quat.exp(scale(k, phi)))
         psi = quat.log(quat.mul(quat.conj(reference), quat.normalise(x)))
         values.append(psi)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,11 +9,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from fastatt import rounding
 from fastatt.attitudes import Attitude
-from fastatt.engine.status import Status
+from fastatt.engine.status import Status, count_flags
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
-from fastatt.scene import torques
 from fastatt.scene.scene import Scene
+from fastatt.scene.torque_record import fastest_decay
 
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
@@ -49,7 +48,10 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray
 
 def lengths(v: NDArray[Any]) -> NDArray[np.float64]:
     """Lengths of rows (N, 3), by a matrix product, since NumPy reduces short rows slowly."""
-    return np.asarray(np.sqrt((v * v) @ np.ones(3)))
+    sizes = np.asarray(np.sqrt((v * v) @ np.ones(3)))
+    if np.isfinite(sizes).all():
+        return sizes
+    return np.asarray(np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))  # squares overflow
 
 
 def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
@@ -61,12 +63,12 @@ def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
 
 def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
     """``|m|/I_min`` of each body, rad/s, which a free body's angular velocity never exceeds."""
-    given = np.asarray(scene.inertia)
+    inertia = np.asarray(scene.inertia)
     least = scene.principal.moments.min(axis=-1)
     rates = _finite(w)
-    if given.shape == (3,):  # a fifth of the time
-        return np.asarray(np.sqrt(np.square(rates) @ np.square(given / least)))
-    return np.asarray(lengths(angular_momentum(rates, given)) / least)
+    if inertia.shape == (3,):  # a fifth of the time
+        return lengths(rates * (inertia / least))
+    return np.asarray(lengths(angular_momentum(rates, inertia)) / least)
 
 
 def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
@@ -74,60 +76,55 @@ def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
     if scene.kind != "torqued":
         return np.zeros(1)
     with np.errstate(over="ignore"):
-        return np.atleast_1d(torques.fastest_decay(scene.torque, scene.principal.moments) * abs(h))
+        return np.atleast_1d(fastest_decay(scene.torque, scene.principal.moments) * abs(h))
 
 
 def warn(plan: Plan, angles: NDArray[Any]) -> bool:
     """Warn, once, of steps that are too large or too small, from the rotation angles, rad."""
     limit, damped, kind = plan.limit, plan.damped, plan.kind
-    method, h = plan.choice.method, plan.clock.steps
-    seen = np.asarray(angles)
-    most = float(seen.max()) if seen.size else 0.0
-    if not math.isfinite(most):
-        seen = np.nan_to_num(seen, nan=0.0, posinf=0.0)
-        most = float(seen.max())
+    method, h = plan.choice.method, plan.clock.dt
+    seen = np.nan_to_num(angles, posinf=0.0)
+    most = float(seen.max(initial=0.0))
     eps = float(np.finfo(kind).eps)
-    if isinstance(h, np.ndarray):
-        worst_of = seen if most > limit or not (damped > method.damping_limit).any() else damped
-        if worst_of.size == 1:  # of all bodies, the one with the largest step
-            h = float(h[np.abs(h).argmax()])
-        else:
-            h = float(np.broadcast_to(h, worst_of.shape)[worst_of.argmax()] if seen.size else 0.0)
     text = ""
     if most > limit:
         measure = "" if method.measure == "angle" else f" by the measure {method.measure!r}"
         text = (
             f"dt: a step of body {seen.argmax()} is {most:.3g} rad{measure}, {method.name}'s limit "
             f"is {limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
-            f"|dt| <= {abs(h) * limit / most:.3g}"
+            f"|dt| <= {_step_of(h, seen) * limit / most:.3g}"
         )
     elif (damped > method.damping_limit).any():
         worst = float(damped.max())
         text = (
             f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
             f"to {method.damping_limit:.3g}: take |dt| <= "
-            f"{abs(h) * method.damping_limit / worst:.3g}"
+            f"{_step_of(h, damped) * method.damping_limit / worst:.3g}"
         )
     elif 0.0 < most < eps and not plan.attitude.compensated:
         text = (
             f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
-            f"take |dt| >= {abs(h) * 1e3 * eps / most:.3g}, or compensated=True"
+            f"take |dt| >= {_step_of(h, seen) * 1e3 * eps / most:.3g}, or compensated=True"
         )
-    elif found := rounding.of_angles(seen, kind):
-        text = f"dt: found steps of {found}"
+    elif angles_lost := rounding.of_angles(seen, kind):
+        text = f"dt: found steps of {angles_lost}"
     if text:
         rounding.warn(text)
     return bool(text)
+
+
+def _step_of(h: Any, measured: NDArray[Any]) -> float:
+    """The size of the step of the body of which most was measured, s."""
+    return abs(float(np.broadcast_to(h, measured.shape)[measured.argmax()]))
 
 
 def warn_of_status(status: NDArray[np.uint8]) -> None:
     """Warn, once, of the bodies with a flag, unless too large steps were warned of."""
     flagged = np.flatnonzero(status)
     if flagged.size and not (status & Status.STEP_TOO_LARGE).any():
-        counts = {flag.name: np.count_nonzero(status & flag) for flag in Status if flag}
-        found = ", ".join(f"{name} ({count})" for name, count in counts.items() if count)
+        flags = ", ".join(f"{name} ({count})" for name, count in count_flags(status).items())
         rounding.warn(
-            f"status: found {found}, {flagged.size} of {status.size} bodies, the first of them "
+            f"status: found {flags}, {flagged.size} of {status.size} bodies, the first of them "
             f"body {flagged[0]}; their results are not to be trusted",
             RuntimeWarning,
         )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
-from fastatt.engine.tape import Breaks, Legs, legs_of, on_grid
+from fastatt.engine.events import Event
+from fastatt.engine.tape import Breaks, Legs, legs_of
 from fastatt.methods.method import Method
-from fastatt.propagation.event import Event
 from fastatt.propagation.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -25,6 +25,15 @@ if TYPE_CHECKING:
 
 #: saves that are in memory at a time in a run without a history
 RING = 16
+#: options that do not combine, and what is accepted
+FORBIDDEN = (
+    ("n_steps", "t_end", "one of them"),
+    ("save_every", "save_at", "one of them"),
+    ("save_every", "dt (N,)", "save_at"),
+    ("on_save", "dt (N,)", "one step size"),
+    ("checkpoint", "dt (N,)", "one step size"),
+    ("compensated", "representation", '"quat"'),
+)
 _EPS = float(np.finfo(np.float64).eps)
 
 
@@ -43,42 +52,36 @@ class Choice:
     events: tuple[Event, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clock:
     """The steps and saves of a run that begins after ``done`` steps.
 
-    ``ends`` is the time of the end since step 0, s, if the last step is shorter.
+    Saves are made after every so many steps, or at the times ``save_at``, or at the end only.
     """
 
-    h: float
+    #: the step size, s, of all bodies or of each
+    dt: NDArray[np.float64]
+    #: the number of further steps, of the body with the smallest
     n_steps: int
-    every: int | None
+    #: the time of the end since step 0, s, with slack for its rounding
+    duration: float
+    rounding: float
+    t0: float = 0.0
+    every: int | None = None
+    save_at: NDArray[np.float64] | None = None
     done: int = 0
-    ends: float | None = None
-    #: whether bodies have step sizes of their own
-    is_per_body: ClassVar[bool] = False
+    #: the time of the end, s, if the last step is shorter
+    t_end: float | None = None
 
-    @classmethod
-    def of(
-        cls, dt: Any, n_steps: Any, save_every: Any, done: int = 0, *, t_end: Any = None
-    ) -> Clock:
-        """A clock from the arguments of ``propagate``.
+    @cached_property
+    def h(self) -> float:
+        """The smallest step size, s."""
+        return float(self.dt[np.abs(self.dt).argmin()])
 
-        Raises ``ValueError`` or ``TypeError`` for an invalid step size or number of steps.
-        """
-        step, ends = checks.real("dt", dt, zero=False), None
-        if t_end is not None:
-            duration = _duration(t_end, n_steps, np.array([step]))
-            n_steps = int(_steps_within(duration, step))
-            is_whole = abs(duration - n_steps * step) <= 16.0 * _EPS * abs(duration)
-            ends = None if is_whole else duration
-        return cls(
-            step,
-            checks.whole("n_steps", _given(n_steps), 0),
-            None if save_every is None else checks.whole("save_every", save_every, 1),
-            done,
-            ends,
-        )
+    @property
+    def is_per_body(self) -> bool:
+        """Whether step sizes are per body."""
+        return self.dt.size > 1
 
     @property
     def end(self) -> int:
@@ -88,111 +91,68 @@ class Clock:
     @property
     def saves(self) -> int:
         """The number of saves; memory may not hold a list of them."""
+        if self.save_at is not None:
+            return self.save_at.size
         return 1 if self.every is None else -(-self.n_steps // self.every) + 1
-
-    @cached_property
-    def saved(self) -> list[int]:
-        """Indices of the steps after which states are saved."""
-        if self.every is None:
-            return [self.end]
-        return [*range(self.done, self.end, self.every), self.end]
 
     @cached_property
     def since(self) -> NDArray[np.float64]:
         """Times of the saves since step 0, s."""
+        if self.save_at is not None:
+            return self.save_at - self.t0
+        counts = [] if self.every is None else [*range(self.done, self.end, self.every)]
         with np.errstate(over="ignore"):
-            found = np.array(self.saved, dtype=np.float64) * self.h
-        if self.ends is not None:
-            found[-1] = self.ends
-        return found
-
-    def times(self, begin: float) -> NDArray[np.float64]:
-        """Times of the saves, s, if step 0 begins at ``begin``.
-
-        Raises ``ValueError`` if they overflow.
-        """
-        if not math.isfinite(begin + self.end * self.h):
-            raise ValueError(
-                f"dt: {self.end} steps of {self.h} s from {begin} s overflow; accepted: shorter"
-            )
-        return self.since + begin
-
-    @property
-    def steps(self) -> Any:
-        """The step size, s, or per-body step sizes (N,)."""
-        return self.h
-
-    @property
-    def duration(self) -> float:
-        """The time from step 0 to the end of the run, s."""
-        return self.end * self.h if self.ends is None else self.ends
+            return np.append(np.array(counts, dtype=np.float64) * self.h, self.duration)
 
     @cached_property
     def slack(self) -> NDArray[np.float64]:
         """The slack for the rounding of ``since``."""
-        return 16.0 * _EPS * np.abs(self.since)
+        if self.save_at is not None:
+            return 16.0 * _EPS * (np.abs(self.save_at) + abs(self.t0))
+        return np.append(16.0 * _EPS * np.abs(self.since[:-1]), self.rounding)
+
+    @cached_property
+    def batches(self) -> list[tuple[int, int]]:
+        """(first, end) of saves that are in memory at a time: ``RING``, and others of their step.
+
+        The initial save is one more of the first batch.
+        """
+        steps = np.ceil((np.abs(self.since) - self.slack) / abs(self.h))
+        ends = np.append(np.flatnonzero(np.diff(steps)) + 1, self.saves)
+        cuts, least = [0], 1 + RING
+        while cuts[-1] < self.saves:
+            k = min(int(np.searchsorted(ends, least)), ends.size - 1)
+            cuts.append(int(ends[k]))
+            least = cuts[-1] + RING
+        return list(pairwise(cuts))
+
+    @property
+    def slots(self) -> NDArray[np.int64]:
+        """The place of each save in the memory of its batch."""
+        return np.concatenate([np.arange(end - first) for first, end in self.batches])
+
+    def times(self, t0: float) -> NDArray[np.float64]:
+        """Times of the saves, s, if step 0 begins at ``t0``.
+
+        Raises ``ValueError`` if they overflow.
+        """
+        if self.save_at is not None:
+            return self.save_at
+        if not math.isfinite(t0 + self.duration):
+            raise ValueError(
+                f"dt: {self.end} steps of {self.h} s from {t0} s overflow; accepted: shorter"
+            )
+        times = self.since + t0
+        if self.t_end is not None:
+            times[-1] = self.t_end
+        return times
 
     def legs(self, h: float, breaks: Breaks) -> Legs:
         """The legs of the steps from step 0 on, of bodies with the step size h, s."""
-        return legs_of(h, self.end, breaks, self.ends)
-
-    def longest(self, begin: float) -> float:
-        """The largest ``|t|`` of the run, s."""
-        return max(abs(begin), abs(begin + self.end * self.h))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TimedClock(Clock):
-    """Saves at any times, and per-body step sizes.
-
-    ``h`` and ``n_steps`` of the base class are those of the body with most steps.
-    """
-
-    #: one step size, s, or one for each body
-    sizes: NDArray[np.float64]
-    #: times of the saves, s; times since the start of the run, and the slack for their rounding
-    at: NDArray[np.float64]
-    since: NDArray[np.float64]
-    slack: NDArray[np.float64]
-    #: the duration of the run, s, which ends with its last save unless it ``goes_on``
-    lasts: float
-    goes_on: bool = False
-
-    @property
-    def is_per_body(self) -> bool:  # type: ignore[override]
-        """Whether bodies have step sizes of their own."""
-        return self.sizes.size > 1
-
-    @property
-    def steps(self) -> NDArray[np.float64]:
-        """Per-body step sizes, s."""
-        return self.sizes
-
-    @property
-    def duration(self) -> float:
-        """The time from the start to the end of the run, s."""
-        return self.lasts if self.goes_on else float(self.since[-1]) if self.since.size else 0.0
-
-    def legs(self, h: float, breaks: Breaks) -> Legs:
-        """The legs of bodies with the step size h, s."""
-        end, slack = self.duration, float(self.slack.max(initial=16.0 * _EPS * abs(self.duration)))
-        count, rest = on_grid(end, h, slack)
-        n = int(count)
-        return legs_of(h, n + 1, breaks, end) if rest else legs_of(h, n, breaks)
-
-    @property
-    def saves(self) -> int:
-        """The number of saves."""
-        return self.at.size
-
-    @cached_property
-    def saved(self) -> list[int]:
-        """Indices of the saves."""
-        return list(range(self.at.size))
-
-    def times(self, begin: float) -> NDArray[np.float64]:
-        """Times of the saves, s."""
-        return self.at
+        count, is_whole = self.end, self.t_end is None
+        if self.is_per_body:
+            count, is_whole = whole_steps(self.duration, h, self.rounding)
+        return legs_of(h, int(count), breaks, None if is_whole else self.duration)
 
 
 class RunOptions(NamedTuple):
@@ -207,137 +167,138 @@ class RunOptions(NamedTuple):
     #: the file that checkpoints are written to
     checkpoint: Path | None = None
     #: the end of the run that is resumed
-    start: End | None = None
+    resumed: End | None = None
     #: whether the trajectory holds its end, for ``resume``, if it is small
     keep_end: bool = False
 
 
-def save_batches(saves: int) -> list[tuple[int, int]]:
-    """(first, end) of each batch of saves; the initial save is in the first batch."""
-    return list(pairwise([0, *range(1 + RING, saves, RING), saves]))
-
-
-def ring_slots(saves: int) -> NDArray[np.int64]:
-    """The slot of each save in memory for a batch; the first is for the initial save."""
-    k = np.arange(saves)
-    return np.where(k == 0, 0, 1 + (k - 1) % RING)
+def refuse_pairs(is_given: Mapping[str, bool]) -> None:
+    """Raise ``ValueError`` if two options of ``FORBIDDEN`` are given."""
+    for first, second, accepted in FORBIDDEN:
+        if is_given.get(first) and is_given.get(second):
+            raise ValueError(f"{first}: found with {second}; accepted: {accepted}")
 
 
 def clock_of(
-    dt: Any,
-    n_steps: Any,
-    t_end: Any,
-    save_every: Any,
-    save_at: Any,
-    begin: float,
-    bodies: int,
-) -> Clock:
-    """The clock of a run of ``bodies`` from time ``begin``.
+    dt: Any, n_steps: Any = None, t_end: Any = None, save_every: Any = None, save_at: Any = None,
+    *, t0: float = 0.0, bodies: int = 1, done: int = 0,
+) -> Clock:  # fmt: skip
+    """The clock of a run of ``bodies``, of which ``done`` steps since time ``t0`` were taken.
 
     Raises ``ValueError`` and ``TypeError`` for arguments that do not fit.
     """
-    if save_at is None and not isinstance(dt, (list, tuple)) and np.ndim(dt) == 0:
-        return Clock.of(dt, n_steps, save_every, t_end=t_end)
+    sizes = _step_sizes(dt, bodies)
+    arguments = {"n_steps": n_steps, "t_end": t_end, "save_every": save_every, "save_at": save_at}
+    is_given = {name: value is not None for name, value in arguments.items()}
+    refuse_pairs({**is_given, "dt (N,)": sizes.size > 1})
     if save_every is not None:
-        other = "save_at" if save_at is not None else "per-body step sizes"
-        raise ValueError(f"save_every: found with {other}; accepted: save_at alone")
-    steps = checks.array("dt", dt, "a number or (N,)").astype(np.float64)
-    steps = np.ascontiguousarray(np.atleast_1d(steps))
-    if steps.size not in (1, bodies):
-        raise ValueError(f"dt: found {steps.size} steps; accepted: one, or {bodies} of the bodies")
-    if not ((steps > 0.0).all() or (steps < 0.0).all()):
-        raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
+        save_every = checks.whole("save_every", save_every, 1)
     if save_at is not None:
         save_at = checks.array("save_at", save_at, "(S,) times, s").astype(np.float64)
-        if n_steps is None and t_end is None and np.size(save_at):
-            last = float(save_at[-1]) - begin
-            t_end = last if last * steps[0] > 0.0 else 0.0  # refused below, if it is not the begin
-    if t_end is not None:
-        end = _duration(t_end, n_steps, steps)
-        counts = _steps_within(end, steps)
-        ends = np.array([end])
+    if n_steps is not None:
+        end, counts = None, done + _counts(n_steps, sizes.size)
+        duration, slack = _duration(counts, sizes)
     else:
-        counts = _counts(_given(n_steps), steps.size)
-        ends = counts * steps
-        end = float(ends[0])
-    if np.ptp(ends) > 16.0 * _EPS * abs(end):
-        b = int(np.abs(ends - end).argmax())
-        raise ValueError(
-            f"n_steps: body {b} ends after {ends[b]:.17g} s, body 0 after {end:.17g} s; accepted: "
-            "dt * n_steps the same of all bodies, to rounding"
-        )
-    if not np.isfinite(begin + end):
-        raise ValueError(f"dt: the run overflows at {begin} + {end} s; accepted: shorter")
-    if save_at is None:
-        at, since = np.array([begin + end]), np.array([end])
-        slack = 16.0 * _EPS * np.abs(since)
-    else:
-        at = _times(save_at, begin, begin + end)
-        since, slack = at - begin, 16.0 * _EPS * (np.abs(at) + abs(begin))
-    smallest = float(steps[np.abs(steps).argmin()])
-    return TimedClock(
-        h=smallest,
-        n_steps=int(counts.max()),
-        every=None,
-        sizes=steps,
-        at=at,
-        since=since,
-        slack=slack,
-        lasts=end,
+        end = _end(t_end, save_at, t0, sizes[0])
+        duration, slack = end - t0, 16.0 * _EPS * (abs(end) + abs(t0))
+        counts, is_whole = whole_steps(duration, sizes, slack)
+        if is_whole.all():
+            end = None
+            duration = duration if sizes.size > 1 else float(counts[0] * sizes[0])
+    if save_at is not None:
+        if not math.isfinite(t0 + duration):
+            raise ValueError(f"dt: the run overflows at {t0} + {duration} s; accepted: shorter")
+        save_at = _times(save_at, t0, t0 + duration)
+    return Clock(
+        sizes, int(counts.max()) - done, duration, slack, t0, save_every, save_at, done, end
     )
 
 
-def _duration(t_end: Any, n_steps: Any, dt: NDArray[np.float64]) -> float:
-    """The duration of a run, s, which must have the sign of its steps."""
-    if n_steps is not None:
-        raise ValueError("n_steps, t_end: found both; accepted: one of them")
-    duration = checks.real("t_end", t_end)
-    if duration * dt[0] < 0.0:
-        raise ValueError(f"t_end: found {t_end} with dt {dt[0]}; accepted: of the sign of dt")
-    return duration
-
-
-def _given(n_steps: Any) -> Any:
-    """The number of steps, which must be given."""
-    if n_steps is None:
-        raise ValueError("n_steps, t_end: found neither; accepted: one of them")
-    return n_steps
-
-
-def _steps_within(duration: float, dt: Any) -> Any:
-    """The number of steps until the end of a run, the last of which may be shorter."""
+def whole_steps(duration: Any, dt: Any, slack: float) -> tuple[Any, Any]:
+    """(steps in a duration, the last of which may be shorter; whether it is not, to rounding)."""
     with np.errstate(over="ignore"):
-        found = np.ceil(np.abs(duration / dt) * (1.0 - 16.0 * _EPS))
-    if not np.max(found) < 2.0**63:
+        exact = np.abs(duration / dt)
+    if not np.max(exact) < 2.0**63:
         raise ValueError(
-            f"dt: found {np.max(found):.3g} steps in {duration:g} s; accepted: fewer than 2**63"
+            f"dt, t_end: found {np.max(exact):.3g} steps in {duration:g} s; accepted: fewer than "
+            "2**63"
         )
-    return found.astype(np.int64)
+    nearest = np.rint(exact)
+    is_whole = np.abs(duration - nearest * dt) <= slack * (nearest > 0.0)
+    return np.where(is_whole, nearest, np.ceil(exact)).astype(np.int64), is_whole
+
+
+def _step_sizes(dt: Any, bodies: int) -> NDArray[np.float64]:
+    """The step size (1,), or those of the bodies (N,), s."""
+    if not isinstance(dt, (list, tuple)) and getattr(dt, "ndim", 0) == 0:
+        return np.array([checks.real("dt", dt, zero=False)])
+    sizes = checks.array("dt", dt, "a number or (N,)").astype(np.float64)
+    sizes = np.ascontiguousarray(np.atleast_1d(sizes))
+    if sizes.size not in (1, bodies):
+        raise ValueError(f"dt: found {sizes.size} steps; accepted: one, or {bodies} of the bodies")
+    if not ((sizes > 0.0).all() or (sizes < 0.0).all()):
+        raise ValueError("dt: found steps of both signs or 0; accepted: all above 0, or all below")
+    return sizes
+
+
+def _duration(counts: NDArray[np.int64], sizes: NDArray[np.float64]) -> tuple[float, float]:
+    """The duration of a run by its numbers of steps, s, and the slack for its rounding."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        durations = counts * sizes
+        apart = np.ptp(durations) if sizes.size > 1 else 0.0
+    duration = float(durations[0])
+    slack = 16.0 * _EPS * abs(duration)
+    if not apart <= slack:
+        b = int(np.abs(durations - duration).argmax())
+        raise ValueError(
+            f"n_steps: body {b} ends after {durations[b]:.17g} s, body 0 after {duration:.17g} s; "
+            "accepted: dt * n_steps the same of all bodies, to rounding"
+        )
+    return duration, slack
+
+
+def _end(t_end: Any, save_at: NDArray[np.float64] | None, t0: float, dt: float) -> float:
+    """The time of the end, s: ``t_end``, or else the last save."""
+    if t_end is not None:
+        return after(t_end, t0, dt)
+    if save_at is None:
+        raise ValueError("n_steps, t_end: found neither; accepted: one of them")
+    last = float(save_at[-1])
+    return last if (last - t0) * dt > 0.0 else t0  # the save is refused, if it is not at t0
+
+
+def after(t_end: Any, t0: float, dt: float = 1.0) -> float:
+    """The time of the end of a run, s, after the start in the direction of the steps."""
+    end = checks.real("t_end", t_end)
+    if not (end > t0 if dt > 0.0 else end < t0):
+        where = "after" if dt > 0.0 else "before"
+        raise ValueError(f"t_end: found {end}; accepted: a time {where} t0, {t0}")
+    return end
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:
-    if np.ndim(n_steps) == 0:
+    if not isinstance(n_steps, (list, tuple)) and getattr(n_steps, "ndim", 0) == 0:
         return np.full(n, checks.whole("n_steps", n_steps, 0), dtype=np.int64)
-    found = np.asarray(n_steps)
-    if found.dtype.kind not in "iu" or found.shape != (n,) or (found < 0).any():
+    counts = checks.numbers("n_steps", n_steps, f"a whole number, or ({n},) of them")
+    if counts.shape != (n,) or not ((counts >= 0) & (counts == np.rint(counts))).all():
         raise ValueError(
             f"n_steps: found {checks.brief(n_steps)}; accepted: a whole number, or ({n},) of them, "
             "at least 0"
         )
-    return found.astype(np.int64)
+    return counts.astype(np.int64)
 
 
-def _times(at: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
+def _times(times: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
     forward = end >= begin
     slack = 16.0 * _EPS * (abs(begin) + abs(end))
     first, last = (begin, end) if forward else (end, begin)
-    outside = (at < first - slack) | (at > last + slack)
+    outside = (times < first - slack) | (times > last + slack)
     if outside.any():
         k = int(outside.argmax())
         raise ValueError(
-            f"save_at[{k}] is {at[k]:.17g}; accepted: from {first:.17g} to {last:.17g}"
+            f"save_at[{k}] is {times[k]:.17g}; accepted: from {first:.17g} to {last:.17g}"
         )
-    steps = np.diff(at)
+    steps = np.diff(times)
     if ((steps < 0.0) if forward else (steps > 0.0)).any():
         raise ValueError("save_at: found times out of order; accepted: in the order of the run")
-    return np.ascontiguousarray(at)
+    return np.ascontiguousarray(times)

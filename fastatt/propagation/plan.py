@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 
 from fastatt import checks, rounding
 from fastatt._cached import cached_property
+from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import Job
 from fastatt.engine.pool import CALLING_LENGTH, Pool
-from fastatt.engine.program import program, width_for
+from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.engine.tape import BLOCK, UNBROKEN, Saves, Steps
@@ -26,9 +28,10 @@ from fastatt.propagation.breakpoints import breaks_within, corners_of
 from fastatt.propagation.end import End
 from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
-from fastatt.propagation.initial import Given, initial
-from fastatt.propagation.options import Choice, Clock, RunOptions, ring_slots
+from fastatt.propagation.initial import Initial, initial
+from fastatt.propagation.options import Choice, Clock, RunOptions
 from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
 
 # body-steps; before a longer run the first step of each body is checked
@@ -39,6 +42,7 @@ _KEPT = 16
 _MANY = 64
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """A prepared run of one scene, with a fixed step size and number of bodies.
 
@@ -60,59 +64,43 @@ class Plan:
     (1, 4)
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        n_bodies: int,
-        choice: Choice,
-        clock: Clock,
-        kind: np.dtype[Any],
-        *,
-        position: bool = False,
-        n_threads: int = 1,
-        invalid: str = "raise",
-        remake: Callable[[], Plan] | None = None,
-    ) -> None:
-        """Prepare a run; ``remake`` makes the plan again after pickling."""
-        self.scene, self.n_bodies, self.kind = scene, n_bodies, kind
-        self.choice, self.clock, self.attitude = choice, clock, choice.attitude
-        self._n_threads, self._invalid, self._remake = n_threads, invalid, remake
-        method = choice.method
-        position = position or scene.needs_position
-        self.packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
-        #: what is saved next to the attitude, with the sizes
-        self.carried = scene.carried(position=position)
-        watches = tuple(x.watch(scene, position) for x in choice.events)
-        self.packed = watching(self.packed, watches)
-        self.limit = limits.turn_limit(scene, method, self.attitude, kind)
-        self.damped = limits.decay(scene, clock.steps)
-        lanes = processor().lanes(kind_of(kind))
-        if scene.sampling is not None and clock.h < 0.0:
-            raise ValueError(
-                f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
-                "holds can't be found backwards"
-            )
-        groups = np.unique(clock.steps).size
-        self.job = Job(
-            method,
-            self.attitude,
-            self.packed.structure,
-            kind_of(kind),
-            shared=self.packed.params.ndim == 1,
-            alike=self._shared_parameters(),
-            raw=choice.raw,
-            projects=choice.projection > 0,
-            events=watches,
-            windowed=len(corners_of(scene)) > 0 or scene.sampling is not None,
-            width=width_for(-(-n_bodies // groups), lanes),
-        )
-        if not method.is_exact:
-            self._program = program(self.job)
-        #: the steps of the last runs, by the step size and the time of the start, if it matters
-        self._steps: dict[tuple[float, float], Steps] = {}
+    scene: Scene
+    n_bodies: int
+    choice: Choice
+    clock: Clock
+    #: precision of the state
+    kind: np.dtype[Any]
+    #: structure and parameters of the scene and of the functions of events
+    packed: Packed
+    #: what is saved next to the attitude, with the sizes
+    carried: Mapping[str, int]
+    #: the largest rotation angle of a step for which the method is trustworthy, rad
+    limit: float
+    #: the largest share of the rate that damping takes in a step, of each body or of all
+    damped: NDArray[np.float64]
+    job: Job
+    #: None of a closed form
+    compiled: Program | None
+    n_threads: int = 1
+    has_fixed_t0: bool = False
+    #: makes the plan again after pickling
+    remake: Callable[[], Plan] | None = None
+    #: the steps of the last runs, by the step size and the time of the start, if it matters
+    kept_steps: dict[tuple[float, float], Steps] = field(default_factory=dict)
+
+    @property
+    def attitude(self) -> Attitude:
+        """How the attitude is represented."""
+        return self.choice.attitude
+
+    @property
+    def program(self) -> Program:
+        """The program of a method that takes steps."""
+        assert self.compiled is not None
+        return self.compiled
 
     def __reduce__(self) -> Any:
-        return self._remake, ()
+        return self.remake, ()
 
     def __deepcopy__(self, memo: Any) -> Plan:
         return self  # nothing of it changes
@@ -128,7 +116,7 @@ class Plan:
         v0: Any = None,
         r0: Any = None,
         s0: Any = None,
-        t0: float = 0.0,
+        t0: float | None = None,
         params: Any = None,
     ) -> Trajectory:
         """Run from given initial values.
@@ -146,8 +134,9 @@ class Plan:
             ``position=True``.
         s0 : array_like of shape (n,) or (N, n), optional
             Initial values of the scene's states.
-        t0 : float, default 0.0
-            Time of the initial state, s.
+        t0 : float, optional
+            Time of the initial state, s. The default is that of the plan, which a plan with
+            ``t_end`` or ``save_at`` has fixed.
         params : array_like, optional
             Replaces the parameters of the scene's user-defined function, in the shape of the
             scene's ``params``. Nothing is compiled again.
@@ -162,21 +151,24 @@ class Plan:
         ValueError, TypeError
             If an argument does not fit, as in :func:`fastatt.propagate`.
         """
-        begin = checks.real("t0", t0)
-        values = (q0, w0, v0, r0, s0)
-        start, carried = initial(self.scene, values, flag=self._invalid == "flag")
-        given = Given.of(start, carried, self.kind)
-        if given.bodies not in (1, self.n_bodies):
+        t0 = self.clock.t0 if t0 is None else checks.real("t0", t0)
+        if self.has_fixed_t0 and t0 != self.clock.t0:
             raise ValueError(
-                f"q0: found {given.bodies} bodies; accepted: {self.n_bodies}, as many as the plan "
+                f"t0: found {t0} in a plan with t_end or save_at; accepted: {self.clock.t0}"
+            )
+        attitudes, carried = initial(self.scene, (q0, w0, v0, r0, s0))
+        start = Initial.of(attitudes, carried, self.kind)
+        if start.bodies not in (1, self.n_bodies):
+            raise ValueError(
+                f"q0: found {start.bodies} bodies; accepted: {self.n_bodies}, as many as the plan "
                 "is for, or one"
             )
         if self.n_bodies > 1:
-            given = given._replace(one_body=False)
+            start = start._replace(one_body=False)
         if ("r0" in carried) != ("r" in self.carried):
             raise ValueError("r0: accepted, and needed, in a plan that was made with position=True")
         plan = self if params is None else self._with(params)
-        return execute(plan, given, begin, RunOptions(self._n_threads))
+        return execute(plan, start, t0, RunOptions(self.n_threads))
 
     def _with(self, params: Any) -> Plan:
         """The plan with other parameters of the user-defined function."""
@@ -185,35 +177,11 @@ class Plan:
             raise ValueError("params: found, but the scene has none; accepted: of an own function")
         now = checks.array("params", params, f"{np.shape(was)}")
         numbers = self.packed.params.copy()
-        numbers[..., self._user_parameters()] = now
-        other = object.__new__(Plan)
-        other.__dict__.update(self.__dict__)
-        other.__dict__.pop("_setup", None)
-        other.packed = self.packed._replace(params=numbers)
-        return other
-
-    def _user_parameters(self) -> range:
-        """Indices of the user-defined function's parameters, which are the last."""
-        end = self.packed.structure.turning.n_params
-        return range(end - np.atleast_1d(np.asarray(self.scene.params)).shape[-1], end)
-
-    def _shared_parameters(self) -> tuple[int, ...]:
-        """Indices of the parameters that all bodies share, without those that a call may replace.
-
-        Results do not depend on it.
-        """
-        params = self.packed.params
-        if params.ndim == 1 or len(params) < _MANY:
-            return ()
-        can_change = (
-            self._user_parameters() if self._remake and self.scene.params is not None else ()
-        )
-        bits = params.view(np.int64)
-        same = (bits == bits[0]).all(axis=0)
-        return tuple(k for k in np.flatnonzero(same).tolist() if k not in can_change)
+        numbers[..., _user_parameters(self.scene, self.packed)] = now
+        return replace(self, packed=self.packed._replace(params=numbers))
 
     @cached_property
-    def _setup(self) -> Setup:
+    def setup(self) -> Setup:
         """What all runs share: parameters, flags and bounds."""
         method = self.choice.method
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
@@ -223,50 +191,52 @@ class Plan:
         flags = lost * np.uint8(Status.NON_FINITE) | fast * np.uint8(Status.STEP_TOO_LARGE)
         limits = [x.bound(self) for x in DIAGNOSTICS]
         flags = np.ascontiguousarray(flags, dtype=np.uint8)
-        return Setup(self._program, self.packed.resources, limits, params, flags)
+        return Setup(self.program, self.packed, limits, params, flags)
 
     def pool(self, bodies: int, n_threads: int) -> Pool:
         """The threads of a run of a number of bodies."""
-        formulas = self._program.formulas
+        formulas = self.program.formulas
         return Pool(
             bodies, self.job.width, formulas.operations, n_threads,
             calls=self.calls, watched=bool(self.job.events),
         )  # fmt: skip
 
-    def steps(self, h: float, t0: float, start: End | None = None, *, ring: bool = False) -> Steps:
+    def steps(self, h: float, t0: float, resumed: End | None, *, ring: bool) -> Steps:
         """The steps of bodies with the step size h; saves go to a ``ring`` of slots."""
-        is_plain, key = start is None and not ring, (h, t0 if self.job.windowed else 0.0)
-        if is_plain and (known := self._steps.get(key)):
+        is_plain, key = resumed is None and not ring, (h, t0 if self.job.windowed else 0.0)
+        if is_plain and (known := self.kept_steps.get(key)):
             return known
         clock, breaks = self.clock, UNBROKEN
         if self.job.windowed:
             breaks = breaks_within(self.scene, t0, clock.duration)
-        made = Steps(
+        steps = Steps(
             clock.legs(h, breaks), Saves(clock.since, clock.slack),
-            slots=ring_slots(clock.saves) if ring else None,
+            slots=clock.slots if ring else None,
             every=self.choice.projection, block=CALLING_LENGTH if self.calls else BLOCK,
-            resumes=start is not None, done=clock.done, watched=bool(self.job.events),
-            new=start is None or start.watched != self.watched,
+            regrids=self.program.formulas.regrids, resumes=resumed is not None, done=clock.done,
+            watched=bool(self.job.events),
+            new=resumed is None or resumed.about["watched"] != self.watched,
         )  # fmt: skip
         if is_plain:
-            while len(self._steps) >= _KEPT:
-                self._steps.pop(next(iter(self._steps)), None)
-            self._steps[key] = made
-        return made
+            while len(self.kept_steps) >= _KEPT:
+                self.kept_steps.pop(next(iter(self.kept_steps)), None)
+            self.kept_steps[key] = steps
+        return steps
 
     def started(
-        self, given: Given, t0: float, results: Results, rows: Any, steps: Steps,
-        start: End | None = None,
+        self, start: Initial, t0: float, results: Results, rows: Any, steps: Steps,
+        resumed: End | None,
     ) -> Run:  # fmt: skip
         """A run of some bodies, whose results go to the given arrays of theirs.
 
-        With ``start`` it continues from the end of another run.
+        It continues from the end of the run that is ``resumed``.
         """
-        run = Run(self._setup, steps, (given.q, given.y), rows, results, t0)
-        if start is None:
+        run = Run(self.setup, steps, (start.q, start.y), rows, results, t0)
+        if resumed is None:
             run.begin()
         else:
-            run.resume(start.states, start.events if start.watched == self.watched else [])
+            is_same = resumed.about["watched"] == self.watched
+            run.resume(resumed.states, resumed.events if is_same else [])
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
@@ -274,13 +244,12 @@ class Plan:
 
         Raises ``ValueError`` if a time overflows.
         """
-        found = self.clock.times(t0)
-        by_time = not self.choice.method.is_exact and (
-            self.job.windowed or self._program.formulas.is_timed
-        )
-        if by_time and (text := rounding.of_times(self.clock.longest(t0), self.clock.h)):
-            rounding.warn(text)
-        return found
+        clock, times = self.clock, self.clock.times(t0)
+        if self.compiled and (self.job.windowed or self.compiled.formulas.is_timed):
+            longest = max(abs(t0), abs(t0 + clock.duration))
+            if text := rounding.of_times(longest, clock.h):
+                rounding.warn(text)
+        return times
 
     @property
     def width(self) -> int:
@@ -294,13 +263,17 @@ class Plan:
 
     @property
     def calls(self) -> bool:
-        """Whether steps call a user-defined function that is not traced."""
-        return bool(self._program.formulas.calls)
+        """Whether steps call a user-defined function that is not followed."""
+        return bool(self.program.formulas.calls)
 
     def results(self, saves: int) -> Results:
-        """Arrays for a number of saves."""
-        events = len(self.choice.events)
-        return Results.empty(saves, self.n_bodies, self.width, self.kind, events)
+        """Arrays for a number of saves, not initialised but for the times of events."""
+        n, events = self.n_bodies, len(self.choice.events)
+        return Results(
+            np.empty((saves, n, self.width + 1), self.kind),
+            np.empty(n, np.uint8),
+            np.full((n, events), np.nan),
+        )
 
     def trajectory(
         self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
@@ -312,14 +285,14 @@ class Plan:
             state=saves[:, :, : self.attitude.stored],
             norm_error=saves[:, :, -1],
             status=results.status,
-            dt=self.clock.steps,
+            dt=self.clock.dt if self.clock.is_per_body else self.clock.h,
             one_body=one_body,
             packed=self.packed,
             attitude=self.attitude,
             record=self.choice.method,
             carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
-            found=results.event_times if self.choice.events else None,
+            crossings=results.event_times if self.choice.events else None,
             terminal=tuple(x.terminal for x in self.choice.events),
         )
 
@@ -337,51 +310,53 @@ class Plan:
             return math.inf, 0.0
         return 0.0 if self.attitude.compensated else eps, min(self.limit, eps**-0.5)
 
-    def warn_of_first(self, given: Given) -> bool:
+    def warn_of_first(self, start: Initial) -> bool:
         """Warn of each body's first step, unless the rate is prescribed."""
         angles = np.zeros(1)
         if self.scene.kind != "rate":
-            w, steps = given.y[:, :3], self.clock.steps
-            angles = limits.first_step(self.scene, self.choice.method, w, steps)
+            w = start.y[:, :3]
+            angles = limits.first_step(self.scene, self.choice.method, w, self.clock.dt)
         return limits.warn(self, angles)
 
-    def warn_after(self, given: Given, angles: NDArray[Any]) -> None:
+    def warn_after(self, start: Initial, angles: NDArray[Any], status: NDArray[np.uint8]) -> None:
         """Warn of the largest steps of bodies, rad, or of the first step if that is the reason."""
         least, most = self._silent_range
         largest = float(angles.max())
-        if math.isnan(largest):
-            largest = float(np.nanmax(angles, initial=0.0))
-        if largest and self.clock.n_steps and not least <= largest <= most:
-            _ = self.warn_of_first(given) or limits.warn(self, angles)
+        # the angle of a step from which no number is left is not known
+        is_lost = status.any() and (status & Status.NON_FINITE).any()
+        is_odd = is_lost or (largest and not least <= largest <= most)
+        if self.clock.n_steps and is_odd and not self.warn_of_first(start):
+            limits.warn(self, angles)
 
-    def end(self, given: Given, run: Run, t0: float, done: int) -> End:
+    def end(self, start: Initial, run: Run, t0: float, done: int) -> End:
         """The end of a run after ``done`` steps, with a copy of its initial values."""
-        kept = given._replace(q=given.q.copy(), y=given.y.copy())
-        return End(
-            kept, run.states[:, run.without_events], done, t0, self.about, self.packed.params,
-            self.equations, self.watched, run.events(),
-        )  # fmt: skip
-
-    @cached_property
-    def about(self) -> dict[str, Any]:
-        """The options that a resumed run has in common, by the names of arguments."""
         choice = self.choice
-        return {
-            "dt": float(self.clock.h).hex(),
+        about = {
+            "dt": self.clock.h,
+            "t0": t0,
+            "done": done,
             "method": choice.method.name,
             "representation": self.attitude.name,
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection or "output",
             "r0": "r" in self.carried,
+            "one_body": start.one_body,
+            "equations": self.equations,
+            "watched": self.watched,
         }
+        states = run.states[:, run.without_events]
+        return End(
+            about, start.q.copy(), start.y.copy(), states, self.packed.params, run.events()
+        )  # fmt: skip
 
     @cached_property
     def equations(self) -> str:
         """A hash of the operations of a step, the tables that it reads, and when models jump."""
-        read = hashlib.sha256(self._program.formulas.digest)
+        read = hashlib.sha256(self.program.formulas.digest)
         read.update(repr((self.scene.breakpoints, self.scene.sampling)).encode())
         for table in self.packed.tables.values():
             read.update(table.tobytes())
+        read.update(_called(self.program.formulas.resources).encode())
         return read.hexdigest()
 
     @cached_property
@@ -389,7 +364,79 @@ class Plan:
         """A hash of the functions of the events and of what they do; empty without events."""
         if not self.job.events:
             return ""
-        formulas = self._program.formulas
+        formulas = self.program.formulas
         each = [(watch.direction, watch.terminal) for watch in self.job.events]
         spelled = formulas.look.spelled(formulas.resources)
-        return hashlib.sha256(f"{each}{spelled}".encode()).hexdigest()
+        called = _called(formulas.resources)
+        return hashlib.sha256(f"{each}{spelled}{called}".encode()).hexdigest()
+
+
+def prepared(
+    scene: Scene,
+    n_bodies: int,
+    choice: Choice,
+    clock: Clock,
+    kind: np.dtype[Any],
+    *,
+    position: bool = False,
+    remake: Callable[[], Plan] | None = None,
+    **options: Any,
+) -> Plan:
+    """The plan of a run, with its program compiled; ``options`` are further fields of ``Plan``."""
+    method, attitude = choice.method, choice.attitude
+    if scene.sampling is not None and clock.h < 0.0:
+        raise ValueError(
+            f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
+            "holds can't be found backwards"
+        )
+    position = position or scene.needs_position
+    packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
+    packed = watching(packed, choice.events)
+    lanes = processor().lanes(kind_of(kind))
+    groups = np.unique(clock.dt).size
+    job = Job(
+        method,
+        attitude,
+        packed.structure,
+        kind_of(kind),
+        shared=packed.params.ndim == 1,
+        alike=_shared_parameters(packed, _user_parameters(scene, packed) if remake else range(0)),
+        raw=choice.raw,
+        projects=choice.projection > 0,
+        events=choice.events,
+        windowed=len(corners_of(scene)) > 0 or scene.sampling is not None,
+        width=width_for(-(-n_bodies // groups), lanes),
+    )
+    carried = scene.carried(position=position)
+    limit = limits.turn_limit(scene, method, attitude, kind)
+    damped = limits.decay(scene, clock.dt)
+    compiled = None if method.is_exact else program(job)
+    return Plan(
+        scene, n_bodies, choice, clock, kind, packed, carried, limit, damped, job, compiled,
+        remake=remake, **options,
+    )  # fmt: skip
+
+
+def _user_parameters(scene: Scene, packed: Packed) -> range:
+    """Indices of the user-defined function's parameters, which are the last of the rotation."""
+    end = packed.structure.turning.n_params
+    params = () if scene.params is None else np.atleast_1d(np.asarray(scene.params))
+    return range(end - np.shape(params)[-1], end)
+
+
+def _shared_parameters(packed: Packed, without: range) -> tuple[int, ...]:
+    """Indices of the parameters that all bodies share, without those that a call may replace.
+
+    Results do not depend on it.
+    """
+    params = packed.params
+    if params.ndim == 1 or len(params) < _MANY:
+        return ()
+    bits = params.view(np.int64)
+    same = (bits == bits[0]).all(axis=0)
+    return tuple(k for k in np.flatnonzero(same).tolist() if k not in without)
+
+
+def _called(resources: Any) -> str:
+    """Fingerprints of the functions that a formula calls."""
+    return " ".join(x.fingerprint for kind, x in resources if kind == "function")

@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
-from fastatt.files import target
+from fastatt.engine.events import Event
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.event import Event, events_of
+from fastatt.propagation.event import events_of
 from fastatt.propagation.execute import execute
-from fastatt.propagation.histories import ToFile, saving
-from fastatt.propagation.initial import Given, initial
-from fastatt.propagation.options import Choice, Clock, RunOptions, TimedClock, clock_of
-from fastatt.propagation.plan import Plan
+from fastatt.propagation.histories import OnSave, options_of, threads_of
+from fastatt.propagation.initial import Initial, initial
+from fastatt.propagation.options import Choice, Clock, clock_of
+from fastatt.propagation.plan import Plan, prepared
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.threads import number_of
 
-#: what ``on_save`` accepts
-OnSave = Callable[[Trajectory], object] | ToFile
-# body-steps below which one thread is as fast as several; 2 ms of the slowest method
-_SHORT = 65_536
 # how many plans are kept with a scene, and the most bodies of such a plan
 _KEPT, _FEW = 16, 1024
 
@@ -52,7 +45,6 @@ def propagate(
     t0: float = 0.0,
     compensated: bool = False,
     normalise: str | int = "output",
-    invalid: str = "raise",
     on_save: OnSave | Sequence[OnSave] | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     save_at: ArrayLike | None = None,
@@ -85,15 +77,15 @@ def propagate(
         must end at the same time, to rounding. Give either ``n_steps`` or ``t_end``; with
         ``save_at`` both may be left out, and the run ends at the last of these times.
     t_end : float, optional
-        Duration of the run, s, counted from ``t0`` and with the sign of ``dt``. If it is not a
-        whole number of steps, the last step is shorter.
+        Time of the end, s, after ``t0`` in the direction of ``dt``. If it is not a whole number of
+        steps away, the last step is shorter.
     method : str or Method, optional
         A name in :data:`fastatt.METHODS`, or a method made with :func:`fastatt.runge_kutta` or
         :func:`fastatt.lie_group`. The default is the first of magnus6, exact, rk8 and rk4 that fits
         the scene and the representation; ``Trajectory.method`` names it.
     representation : str, default "quat"
         The numbers that represent the attitude during the run: "quat", "dcm", "mrp", "dcm_rows"
-        (two rows of the matrix), "euler313" or "rotation_vector".
+        (two rows of the matrix) or "euler313".
     save_every : int, optional
         Save the initial state, the state after every ``save_every`` steps, and the final state. The
         default saves the final state only.
@@ -117,14 +109,11 @@ def propagate(
         "output" renormalises the saved values only, "never" none, and a number k also the
         propagated state every k steps. The status depends on the norm error before that. With
         "output", a compensated state is renormalised every 64 steps.
-    invalid : {"raise", "flag"}, default "raise"
-        "raise" refuses zero quaternions and initial values that are not finite. "flag" runs the
-        ensemble and flags these bodies; the results of the other bodies do not depend on them.
     on_save : callable or ToFile, or a list of one of each, optional
-        Receives the saves of a run with ``save_every``, so that no history is held in memory and
-        the returned trajectory has the final state only. A function is called with a trajectory of
-        16 saves at a time (17 with the initial state), whose arrays are reused afterwards.
-        :func:`fastatt.to_file` writes the saves to a file.
+        Receives the saves of a run with ``save_every`` or ``save_at``, so that no history is held
+        in memory and the returned trajectory has the last save only. A function is called with a
+        trajectory of 16 saves at a time (17 with the first one, more if one step has more), whose
+        arrays are reused afterwards. :func:`fastatt.to_file` writes the saves to a file.
     checkpoint : str or os.PathLike, optional
         A file to which the run writes its state every ten seconds and at the end, unless the last
         step is shorter. After a crash :func:`resume` continues from it.
@@ -158,7 +147,7 @@ def propagate(
         If a step is beyond the method's limit, or too small for the precision.
     RuntimeWarning
         If the status of a body is not 0, with the flags and the number of bodies, unless a
-        StepWarning tells of too large steps.
+        StepWarning reports steps that are too large.
 
     See Also
     --------
@@ -187,76 +176,49 @@ def propagate(
     ((11,), (11, 2, 4))
     """
     as_scene(scene)
-    watched = events_of(events)
-    function, file = saving(on_save)
+    watched = events_of(events, scene, position=r0 is not None)
     choice = chosen(scene, method, representation, compensated, normalise, watched)
-    flag = checks.flags_invalid(invalid)
-    begin = checks.real("t0", t0)
+    t0 = checks.real("t0", t0)
     values = (q0, w0, v0, r0, s0)
-    start, carried = initial(scene, values, flag=flag)
-    kind = checks.precision(dtype, *values)
-    given = Given.of(start, carried, kind)
-    clock = clock_of(dt, n_steps, t_end, save_every, save_at, begin, given.bodies)
-    if isinstance(clock, TimedClock):
-        if watched:
-            clock = replace(clock, goes_on=True)
-        # these need one step size for all bodies, and saves after whole steps
-        _check_alone(
-            "save_at or per-body step sizes; accepted: without", on_save=on_save,
-            checkpoint=checkpoint, compensated=compensated,
-            normalise=choice.projection or None,
-        )  # fmt: skip
-    if on_save is not None and clock.every is None:
-        raise ValueError("on_save: found without save_every; accepted: with it")
-    options = RunOptions(
-        threads_of(n_threads, given.bodies, clock.n_steps),
-        progress=progress,
-        on_save=function,
-        file=file,
-        checkpoint=None if checkpoint is None else target("checkpoint", checkpoint),
-        keep_end=True,
-    )
-    plan_of_run = _plan_of(scene, choice, clock, given, r0 is not None)
-    return execute(plan_of_run, given, begin, options)
+    start = Initial.of(*initial(scene, values), checks.precision(dtype, *values))
+    clock = clock_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=start.bodies)
+    options = options_of(clock, start.bodies, n_threads, progress, on_save, checkpoint)
+    plan_of_run = _plan_of(scene, choice, clock, start, r0 is not None)
+    return execute(plan_of_run, start, t0, options)
 
 
-def _check_alone(why: str, **arguments: Any) -> None:
-    """Raise ``ValueError`` if one of the arguments is given."""
-    for name, value in arguments.items():
-        if value is not None and value is not False:
-            raise ValueError(f"{name}: found with {why}")
-
-
-def _plan_of(scene: Scene, choice: Choice, clock: Clock, given: Given, position: bool) -> Plan:
+def _plan_of(scene: Scene, choice: Choice, clock: Clock, start: Initial, position: bool) -> Plan:
     """The plan of a run. Plans of small runs are kept with the scene."""
-    n, kind = given.bodies, given.q.dtype
-    key = (n, choice, clock, kind, position)
-    is_small = n <= _FEW and not isinstance(clock, TimedClock)
-    found: Plan | None = scene.memo.get(key) if is_small else None
-    if found is None:
-        found = Plan(scene, n, choice, clock, kind, position=position)
+    n, kind = start.bodies, start.q.dtype
+    is_small = n <= _FEW and not clock.is_per_body and clock.save_at is None
+    steps = clock.h, clock.n_steps, clock.duration, clock.t_end, clock.every
+    key = (n, choice, steps, kind, position)
+    kept: Plan | None = scene.memo.get(key) if is_small else None
+    if kept is None:
+        kept = prepared(scene, n, choice, clock, kind, position=position)
         if is_small:
             while len(scene.memo) >= _KEPT:
                 scene.memo.pop(next(iter(scene.memo)), None)
-            scene.memo[key] = found
-    return found
+            scene.memo[key] = kept
+    return kept
 
 
 def plan(
     scene: Scene,
     n_bodies: int,
     *,
-    dt: float,
-    n_steps: int | None = None,
+    dt: float | ArrayLike,
+    n_steps: int | ArrayLike | None = None,
     t_end: float | None = None,
     method: str | Method | None = None,
     representation: str = "quat",
     save_every: int | None = None,
     dtype: DTypeLike | None = None,
     n_threads: int | None = None,
+    t0: float = 0.0,
     compensated: bool = False,
     normalise: str | int = "output",
-    invalid: str = "raise",
+    save_at: ArrayLike | None = None,
     position: bool = False,
     events: Event | Sequence[Event] = (),
 ) -> Plan:
@@ -272,12 +234,12 @@ def plan(
         The bodies with their rates, torques and forces.
     n_bodies : int
         Number of bodies of each call.
-    dt : float
-        Step size, s; negative propagates backwards.
-    n_steps : int, optional
+    dt : float or array_like of shape (N,)
+        Step size or per-body step sizes, s; negative propagates backwards.
+    n_steps : int or array_like of shape (N,), optional
         Number of steps, at least 0. Give either ``n_steps`` or ``t_end``.
     t_end : float, optional
-        Duration of each run, s, as in :func:`propagate`.
+        Time of the end of each run, s, as in :func:`propagate`.
     method : str or Method, optional
         The method, as in :func:`propagate`.
     representation : str, default "quat"
@@ -288,12 +250,15 @@ def plan(
         Precision of the state; the default is float64.
     n_threads : int, optional
         Number of threads, as in :func:`propagate`.
+    t0 : float, default 0.0
+        Time of the initial state, s. A call may give another one, unless the plan has a ``t_end``
+        or ``save_at``.
     compensated : bool, default False
         Also carry rounding errors, as in :func:`propagate`.
     normalise : {"output", "never"} or int, default "output"
-        When the state is projected, as in :func:`propagate`.
-    invalid : {"raise", "flag"}, default "raise"
-        What is done with initial values that are not finite, as in :func:`propagate`.
+        When the state is renormalised, as in :func:`propagate`.
+    save_at : array_like of shape (S,), optional
+        Times of saves, s, as in :func:`propagate`.
     position : bool, default False
         Whether calls give initial positions ``r0``, for a scene with mass.
     events : Event or sequence of Event, optional
@@ -323,12 +288,13 @@ def plan(
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
-    choice = chosen(scene, method, representation, compensated, normalise, events=events_of(events))
-    clock = Clock.of(dt, n_steps, save_every, t_end=t_end)
-    checks.flags_invalid(invalid)
+    arguments["events"] = watched = events_of(events, scene, position=position)
+    choice = chosen(scene, method, representation, compensated, normalise, events=watched)
+    t0 = checks.real("t0", t0)
+    clock = clock_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=bodies)
     if METHODS.get(choice.method.name) is choice.method:
         arguments["method"] = choice.method.name
-    return Plan(
+    return prepared(
         scene,
         bodies,
         choice,
@@ -336,13 +302,6 @@ def plan(
         checks.precision(dtype),
         position=position,
         n_threads=threads_of(n_threads, bodies, clock.n_steps),
-        invalid=invalid,
+        has_fixed_t0=n_steps is None or save_at is not None,
         remake=partial(plan, **arguments),
     )
-
-
-def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
-    """The number of threads of a run; by default one for a short run."""
-    if n_threads is None and n_bodies * n_steps < _SHORT:
-        return 1
-    return number_of(n_threads)

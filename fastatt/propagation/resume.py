@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from fastatt import checks
-from fastatt.files import target
+from fastatt.engine.events import Event
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.end import End, check, end_of
-from fastatt.propagation.event import Event, events_of
+from fastatt.propagation.end import check, end_of
+from fastatt.propagation.event import events_of
 from fastatt.propagation.execute import execute
-from fastatt.propagation.histories import saving
-from fastatt.propagation.options import Choice, Clock, RunOptions
-from fastatt.propagation.plan import Plan
-from fastatt.propagation.propagate import OnSave, threads_of
+from fastatt.propagation.histories import OnSave, options_of
+from fastatt.propagation.options import Choice, clock_of
+from fastatt.propagation.plan import prepared
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
-
-_EPS = float(np.finfo(np.float64).eps)
 
 
 def resume(
@@ -81,7 +74,7 @@ def resume(
     Returns
     -------
     Trajectory
-        The further saves; its times are counted on.
+        The further saves, whose times continue those of the run.
 
     Raises
     ------
@@ -117,26 +110,22 @@ def resume(
     (array([10.]), True)
     """
     as_scene(scene)
-    watched = events_of(events)
-    function, file = saving(on_save)
     end = end_of(run)
-    choice = _choice_of(scene, end.about, method, watched)
-    clock = _clock_of(end, n_steps, t_end, save_every)
-    if on_save is not None and clock.every is None:
-        raise ValueError("on_save: found without save_every; accepted: with it")
-    options = RunOptions(
-        threads_of(n_threads, end.given.bodies, clock.n_steps),
-        progress=progress,
-        on_save=function,
-        file=file,
-        checkpoint=None if checkpoint is None else target("checkpoint", checkpoint),
-        start=end,
-        keep_end=True,
-    )
     position = end.about["r0"] and scene.moves
-    plan = Plan(scene, end.given.bodies, choice, clock, end.given.q.dtype, position=position)
+    watched = events_of(events, scene, position=position)
+    choice = _choice_of(scene, end.about, method, watched)
+    dt, t0, done = (end.about[name] for name in ("dt", "t0", "done"))
+    clock = clock_of(dt, n_steps, t_end, save_every, t0=t0, done=done)
+    if clock.n_steps < 0:
+        reached, order = t0 + done * dt, "after" if dt > 0.0 else "before"
+        raise ValueError(
+            f"t_end: found {t_end}; accepted: {reached}, the end of the run, or {order} it"
+        )
+    bodies = end.start.bodies
+    options = options_of(clock, bodies, n_threads, progress, on_save, checkpoint, resumed=end)
+    plan = prepared(scene, bodies, choice, clock, end.start.q.dtype, position=position)
     check(end, plan)
-    return execute(plan, end.given, end.t0, options)
+    return execute(plan, end.start, t0, options)
 
 
 def _choice_of(
@@ -144,9 +133,9 @@ def _choice_of(
 ) -> Choice:
     """The method and the representation of the run that is resumed."""
     name = about["method"]
-    found = method.name if isinstance(method, Method) else method
-    if found not in (None, name):
-        raise ValueError(f"method: found {checks.brief(found)}; accepted: {name}, as in the run")
+    asked = method.name if isinstance(method, Method) else method
+    if asked not in (None, name):
+        raise ValueError(f"method: found {checks.brief(asked)}; accepted: {name}, as in the run")
     if method is None and name not in METHODS:
         raise ValueError(f"method: is missing; accepted: the Method {name} of the run")
     options = about["representation"], about["compensated"], about["normalise"]
@@ -156,28 +145,3 @@ def _choice_of(
         raise ValueError(
             f"scene: found one that does not fit the run ({error}); accepted: that of the run"
         ) from None
-
-
-def _clock_of(end: End, n_steps: Any, t_end: Any, save_every: Any) -> Clock:
-    """The further steps, until the time ``t_end`` if it is given."""
-    step = float.fromhex(end.about["dt"])
-    if t_end is None:
-        return Clock.of(step, n_steps, save_every, end.done)
-    if n_steps is not None:
-        raise ValueError("n_steps, t_end: found both; accepted: one of them")
-    last = checks.real("t_end", t_end)
-    duration = last - end.t0
-    steps = duration / step
-    if not abs(steps) < 2.0**63:
-        raise ValueError(f"t_end: found {last}; accepted: less than 2**63 steps of {step} s away")
-    # times differ by their rounding
-    slack = 16.0 * _EPS * (abs(last) + abs(end.t0))
-    is_whole = abs(duration - round(steps) * step) <= slack
-    total = round(steps) if is_whole else math.ceil(steps)
-    if total < end.done:
-        reached, order = end.t0 + end.done * step, "after" if step > 0.0 else "before"
-        raise ValueError(
-            f"t_end: found {last}; accepted: {reached}, the end of the run, or {order} it"
-        )
-    clock = Clock.of(step, total - end.done, save_every, end.done)
-    return clock if is_whole else replace(clock, ends=duration)

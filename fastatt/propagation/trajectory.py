@@ -15,7 +15,7 @@ from fastatt import arrays
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
-from fastatt.engine.status import Status
+from fastatt.engine.status import Status, count_flags
 from fastatt.methods import METHODS
 from fastatt.propagation.end import NO_END, End
 from fastatt.scene.equations import PrescribedRate
@@ -43,7 +43,7 @@ class Trajectory:
     status : ndarray of uint8 of shape (N,)
         A :class:`Status` for each body; 0 if nothing went wrong.
     norm_error : ndarray of shape (S, N)
-        The norm error of the propagated state before it was projected for output: |q| − 1 for
+        The norm error of the propagated state before it was renormalised: |q| − 1 for
         quaternions, ‖C Cᵀ − 1‖ for matrices.
     state : ndarray of shape (S, N, k)
         The k numbers of the attitude in the run's representation.
@@ -77,7 +77,7 @@ class Trajectory:
     #: the final state as ``resume`` needs it
     end: End | None = field(default=None, repr=False)
     #: times of events (N, E); None for a run without events
-    found: NDArray[np.float64] | None = field(default=None, repr=False)
+    crossings: NDArray[np.float64] | None = field(default=None, repr=False)
     #: which of the events are terminal
     terminal: tuple[bool, ...] = field(default=(), repr=False)
 
@@ -138,11 +138,11 @@ class Trajectory:
         rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
         states = self.carried["s"] if n else np.zeros(0)
         t = self.t[:, None]
-        if self.found is not None and any(self.terminal):  # a body stays at its event
+        if self.crossings is not None and any(self.terminal):  # a body stays at its event
             earlier = np.fmin if np.min(self.dt) > 0.0 else np.fmax
-            t = earlier(t, earlier.reduce(self.found[:, self.terminal], axis=1))
-        (found,) = rates(t, states, params, tables=packed.tables)
-        w = self._shaped(np.broadcast_to(found, (*self.state.shape[:2], 3)))
+            t = earlier(t, earlier.reduce(self.crossings[:, self.terminal], axis=1))
+        (w,) = rates(t, states, params, tables=packed.tables)
+        w = self._shaped(np.broadcast_to(w, (*self.state.shape[:2], 3)))
         if turning.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)
         with np.errstate(over="ignore"):
@@ -169,9 +169,9 @@ class Trajectory:
 
         NaN if there was none. ``ValueError`` for a run without ``events``.
         """
-        if self.found is None:
+        if self.crossings is None:
             raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
-        return self.found[0] if self.one_body else self.found
+        return self.crossings[0] if self.one_body else self.crossings
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:
@@ -264,8 +264,8 @@ class Trajectory:
         path : str or Path
             The picture, in a format that matplotlib writes.
         scene : Scene, optional
-            The scene of the run. With it, the drift of those of energy and angular momentum that
-            the motion conserves is plotted too.
+            The scene of the run. With it, the drifts of energy and angular momentum are plotted
+            too, where the motion conserves them.
 
         See Also
         --------
@@ -283,11 +283,6 @@ class Trajectory:
 
         return table(self)
 
-    @property
-    def has_flags(self) -> bool:
-        """Whether any body has a status other than 0."""
-        return bool(self.status.any())
-
     def status_counts(self) -> dict[str, int]:
         """Count the bodies that have each flag of :class:`Status`.
 
@@ -296,8 +291,7 @@ class Trajectory:
         dict of str to int
             The name of each flag with its number of bodies; empty if no body has a flag.
         """
-        found = {f.name or "": int(np.count_nonzero(self.status & f)) for f in Status if f}
-        return {name: count for name, count in found.items() if count}
+        return count_flags(self.status)
 
     def summary(self) -> str:
         """Describe the run and its flags in a few lines of text.
@@ -311,9 +305,11 @@ class Trajectory:
         bodies = "1 body" if n == 1 else f"{n} bodies"
         errors = np.abs(self.norm_error[np.isfinite(self.norm_error)])
         largest = errors.max() if errors.size else np.nan
+        steps = dict.fromkeys((np.min(self.dt), np.max(self.dt)))
+        step = " to ".join(f"{x:g}" for x in steps)
         first = (
             f"{self.method} on {self.representation}, {self.state.dtype}: {bodies} to "
-            f"t = {self.t[-1]:g} s by {self._step} s, {self.t.size} saves; largest norm error "
+            f"t = {self.t[-1]:g} s by {step} s, {self.t.size} saves; largest norm error "
             f"{largest:.1e}"
         )
         lines = [first]
@@ -345,12 +341,6 @@ class Trajectory:
         if self.end is None:
             raise ValueError(f"save_end: found {NO_END}")
         self.end.save(path)
-
-    @property
-    def _step(self) -> str:
-        steps = np.atleast_1d(self.dt)
-        few = f"{steps.min():g}"
-        return few if np.ptp(steps) == 0.0 else f"{few} to {steps.max():g}"
 
     def _shaped(self, value: NDArray[Any]) -> NDArray[Any]:
         return value[:, 0] if self.one_body else value

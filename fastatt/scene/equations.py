@@ -1,4 +1,4 @@
-"""The equations of motion that a method steps: of an attitude with a prescribed rate, or of a body.
+"""The equations of motion that a method steps: of an attitude, a body, and what moves with it.
 
 A state is a tuple: the numbers of the attitude, then the angular momentum along principal axes and
 what else the scene requires. Rates, torques and forces are laws (``scene.models``), which describe
@@ -14,19 +14,29 @@ from typing import Any, NamedTuple, Self
 
 from fastatt.attitudes import Attitude
 from fastatt.scene.models import Law
-from fastatt.scene.torque_record import ALONE, Beside, Pose
-from fastatt.scene.torques import damping_rates, is_free, wheels_of
+from fastatt.scene.torque_record import (
+    FREE,
+    UNCOUPLED,
+    CoupledStates,
+    Pose,
+    damping_rates,
+    wheels_of,
+)
 from fastatt.tracing.formulas import (
     Vector,
     as_like,
     axpy,
     dcm,
     dot,
+    minus,
     opposite,
     plus,
     quat,
     rigid,
+    scale,
+    vec3,
 )
+from fastatt.tracing.functions import larger
 from fastatt.tracing.graph import choose
 
 
@@ -101,7 +111,7 @@ class Structure(NamedTuple):
         return self.force.reads_position or self.turning.law.reads_position
 
     @property
-    def beside(self) -> int:
+    def coupled(self) -> int:
         """Size of velocity, position and states."""
         moved = (0 if self.force is None else 3) + (3 if self.position else 0)
         return moved + self.turning.law.states
@@ -109,7 +119,7 @@ class Structure(NamedTuple):
     @property
     def tail(self) -> int:
         """Size of the auxiliary state."""
-        return self.turning.tail + self.beside
+        return self.turning.tail + self.coupled
 
 
 class EquationsOfMotion:
@@ -146,9 +156,9 @@ class EquationsOfMotion:
 
         They are smooth also where an attitude is no rotation, as within a step of a matrix.
         """
-        found = copy(self)
-        found.attitude = self.attitude.near(x[: self.plain.size])
-        return found
+        motion = copy(self)
+        motion.attitude = self.attitude.near(x[: self.plain.size])
+        return motion
 
     def turned(self, x: Vector, u: Vector) -> Any:
         """An attitude rotated by a rotation vector."""
@@ -158,7 +168,7 @@ class EquationsOfMotion:
         """What ``field`` needs of the time t, evaluated once for all stages that share it."""
         raise NotImplementedError
 
-    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
+    def field(self, g: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
         """Time derivative of a state without low parts, then that of the scene's states."""
         raise NotImplementedError
 
@@ -170,7 +180,7 @@ class EquationsOfMotion:
         """x + d, with the rounding error kept in the low parts."""
         raise NotImplementedError
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
+    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
         """Square of the rate (rad/s) that limits an explicit step."""
         raise NotImplementedError
 
@@ -186,7 +196,7 @@ class EquationsOfMotion:
         """The invariants of the motion; () if there are none."""
         return ()
 
-    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
+    def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
         """(q, w): attitude and angular velocity of the body axes."""
         raise NotImplementedError
 
@@ -203,19 +213,19 @@ class Turning(EquationsOfMotion):
 
         The time derivatives of the law's states follow.
         """
-        found = self.structure.law.formula(self.instant(t), self.p, states=states)
-        w = opposite(found[:3]) if self.structure.inertial else found[:3]
-        return tuple(as_like(x, self._like) for x in (*w, *found[3:]))
+        results = self.structure.law.formula(self.instant(t), self.p, states=states)
+        w = opposite(results[:3]) if self.structure.inertial else results[:3]
+        return tuple(as_like(x, self._like) for x in (*w, *results[3:]))
 
     def at(self, t: Any) -> Any:
         return t if self.structure.law.states else self.rate(t)
 
-    def _given(self, g: Any, beside: Beside) -> Vector:
+    def _rate(self, g: Any, coupled: CoupledStates) -> Vector:
         """The rate and the derivatives of states; ``at`` evaluated it if it depends on no state."""
-        return self.rate(g, beside.states) if self.structure.law.states else g
+        return self.rate(g, coupled.states) if self.structure.law.states else g
 
-    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Any:
-        w = self._given(g, beside)
+    def field(self, g: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+        w = self._rate(g, coupled)
         return (*self.plain.derivative(x, w[:3]), *w[3:])
 
     def base(self, x: Vector) -> Vector:
@@ -224,8 +234,8 @@ class Turning(EquationsOfMotion):
     def advanced(self, x: Vector, d: Vector) -> Any:
         return self.attitude.add(x, d)
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
-        return self.attitude.speed_squared(xdot, self._given(g, beside)[:3])
+    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+        return self.attitude.speed_squared(xdot, self._rate(g, coupled)[:3])
 
     def begin(self, q: Vector, auxiliary: Vector) -> Any:
         a = self.attitude.start(q)
@@ -234,8 +244,8 @@ class Turning(EquationsOfMotion):
     def output(self, x: Vector, finish: Callable[[Vector], Any]) -> Any:
         return finish(self.attitude.flip(x) if self.structure.inertial else x)
 
-    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
-        w = self.rate(t, beside.states)[:3]
+    def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
+        w = self.rate(t, coupled.states)[:3]
         if not self.structure.inertial:
             return self.attitude.quaternion(x), w
         q = self.attitude.quaternion(self.attitude.flip(x))
@@ -251,13 +261,13 @@ class Body(EquationsOfMotion):
     def __init__(self, attitude: Attitude, structure: RigidBody, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         self.structure = structure
-        own = as_like(tuple(p[: 9 + structure.axes]), like)
-        self.half_inverse, self.moments, self.gyroscopic = own[:3], own[3:6], own[6:9]
-        self.axes = own[9:] if structure.turned else None
+        numbers = as_like(tuple(p[: 9 + structure.axes]), like)
+        self.half_inverse, self.moments, self.gyroscopic = numbers[:3], numbers[3:6], numbers[6:9]
+        self.axes = numbers[9:] if structure.turned else None
         #: the moments in the precision of the parameters, for torques
         self.axes_given = p[9:13] if structure.turned else None
         self.torque_numbers = p[9 + structure.axes :]
-        self.is_free = is_free(structure.law)
+        self.is_free = structure.law.model == FREE
 
     def attitude_of(self, x: Vector) -> Vector:
         """The attitude in a state."""
@@ -272,41 +282,43 @@ class Body(EquationsOfMotion):
         v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
         return tuple(a + a for a in v)
 
-    def _posed(self, a: Vector, w: Vector, beside: Beside) -> Pose:
+    def _posed(self, a: Vector, w: Vector, coupled: CoupledStates) -> Pose:
         wheels = partial(wheels_of, self.structure.law, self.torque_numbers)
-        return Pose(self.plain, a, w, self.moments, beside, self.axes_given, wheels)
+        return Pose(self.plain, a, w, self.moments, coupled, self.axes_given, wheels)
 
-    def torque(self, t: Any, a: Vector, w: Vector, beside: Beside = ALONE) -> Vector:
+    def torque(self, t: Any, a: Vector, w: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
         """Torque (N·m, principal axes) at an attitude a, in its plain form, and a rate w.
 
         The time derivatives of the law's states follow.
         """
-        pose, law = self._posed(a, w, beside), self.structure.law
-        found = law.formula(self.instant(t), pose, self.torque_numbers, states=beside.states)
-        return tuple(as_like(x, a[0]) for x in found)
+        pose, law = self._posed(a, w, coupled), self.structure.law
+        torque = law.formula(self.instant(t), pose, self.torque_numbers, states=coupled.states)
+        return tuple(as_like(x, a[0]) for x in torque)
 
-    def updated_states(self, t: Any, a: Vector, m: Vector, beside: Beside) -> Vector:
+    def updated_states(self, t: Any, a: Vector, m: Vector, coupled: CoupledStates) -> Vector:
         """The law's states after a sample time, at attitude a and momentum m without low parts."""
-        pose, law = self._posed(a, self.angular_velocity(m), beside), self.structure.law
-        found = law.updated(self.instant(t), pose, self.torque_numbers, beside.states)
-        return tuple(as_like(x, a[0]) for x in found)
+        pose, law = self._posed(a, self.angular_velocity(m), coupled), self.structure.law
+        states = law.updated(self.instant(t), pose, self.torque_numbers, coupled.states)
+        return tuple(as_like(x, a[0]) for x in states)
 
-    def momentum_rate(self, t: Any, a: Vector, m: Vector, beside: Beside = ALONE) -> Vector:
+    def momentum_rate(
+        self, t: Any, a: Vector, m: Vector, coupled: CoupledStates = UNCOUPLED
+    ) -> Vector:
         """ṁ = m×w + τ at an attitude a and a momentum m, then the derivatives of the states."""
-        own: Vector = rigid.gyroscopic(m, self.gyroscopic)
+        gyroscopic: Vector = rigid.gyroscopic(m, self.gyroscopic)
         if self.is_free:
-            return own
-        found = self.torque(t, a, self.angular_velocity(m), beside)
-        return (*plus(own, found[:3]), *found[3:])
+            return gyroscopic
+        torque = self.torque(t, a, self.angular_velocity(m), coupled)
+        return (*plus(gyroscopic, torque[:3]), *torque[3:])
 
     def at(self, t: Any) -> Any:
         return t
 
-    def field(self, g: Any, x: Vector, beside: Beside = ALONE) -> Vector:
+    def field(self, g: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
         n = self.plain.size
         a, m = x[:n], x[n:]
         v = tuple(k * u for k, u in zip(self.half_inverse, m, strict=True))
-        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, beside))
+        return (*self.plain.half_derivative(a, v), *self.momentum_rate(g, a, m, coupled))
 
     def base(self, x: Vector) -> Vector:
         a, m = self.attitude_of(x), self.momentum_of(x)
@@ -317,7 +329,7 @@ class Body(EquationsOfMotion):
         a, m = self.attitude_of(x), self.momentum_of(x)
         return (*self.attitude.add(a, d[:n]), *self.attitude.add_vector(m, d[n:]))
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, beside: Beside = ALONE) -> Any:
+    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
         n = self.plain.size
         w = self.angular_velocity(x[n:])
         return self.attitude.speed_squared(xdot[:n], w)
@@ -357,7 +369,7 @@ class Body(EquationsOfMotion):
         m = self.momentum_of(x)[:3]
         return dot(m, m), dot(m, self.angular_velocity(m))
 
-    def pose(self, t: Any, x: Vector, beside: Beside = ALONE) -> tuple[Vector, Vector]:
+    def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
         q = self.attitude.quaternion(self.attitude_of(x))
         w = self.angular_velocity(self.momentum_of(x)[:3])
         if self.axes is None:
@@ -374,7 +386,108 @@ def motion_of(
     return Body(attitude, structure, p, like)
 
 
-def carried(attitude: Attitude, structure: Structure) -> int:
-    """Size of the state of one body."""
-    low = structure.turning.tail if attitude.compensated else 0
-    return attitude.size + low + structure.tail
+class Coupled(EquationsOfMotion):
+    """The equations of motion of a scene with mass or states, as one system.
+
+    v̇ = F/μ − w×v along body axes and, if the position is propagated, ṙ = C v along inertial axes,
+    together with the equations of the rotation. These may depend on v, r and the states, and
+    contain the time derivatives of the states.
+    """
+
+    def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
+        super().__init__(attitude)
+        n = structure.turning.n_params
+        self.inner = motion_of(structure.turning, attitude, p[:n], like)
+        # stages are evaluated without low parts
+        self.stage = motion_of(structure.turning, attitude.plain, p[:n], like)
+        self._coupled, self._force = structure.coupled, structure.force
+        self._states = structure.turning.law.states
+        #: 1/μ and the parameters of the force; empty without a force
+        self._numbers = p[n:]
+        #: squares of the orbital rates at the stages of the step that is being recorded
+        self._squares: list[Any] = []
+
+    def evaluate_between(self, low: Any, high: Any) -> None:
+        super().evaluate_between(low, high)
+        self.inner.evaluate_between(low, high)
+        self.stage.evaluate_between(low, high)
+
+    def near(self, x: Vector) -> Self:
+        motion = super().near(x)
+        motion.inner, motion.stage = self.inner.near(x), self.stage.near(x)
+        return motion
+
+    def _split(self, x: Vector) -> tuple[Vector, Vector]:
+        """The state of the rotation, and velocity, position and states as far as there are any."""
+        n = len(x) - self._coupled
+        return x[:n], x[n:]
+
+    def _named(self, moved: Vector) -> CoupledStates:
+        """Velocity, position and states by their names."""
+        n = len(moved) - self._states
+        return CoupledStates(moved[: min(3, n)], moved[3:n], moved[n:])
+
+    def _translation(self, force: Law, t: Any, a: Vector, coupled: CoupledStates) -> Vector:
+        """v̇ along body axes and, if the position is propagated, ṙ along inertial axes."""
+        v, r = coupled.velocity, coupled.position
+        q, w = self.stage.pose(t, a, coupled)
+        q = quat.renormalise(q)
+        acting = force.formula(self.instant(t), q, w, *coupled, self._numbers[1:])
+        push = scale(self._numbers[0], as_like(tuple(acting), v[0]))
+        if r:
+            terms = force.having("squared_rate", None, self._numbers[1:])
+            self._squares += [x.squared_rate(r) for x in terms]
+        return (*minus(push, vec3.cross(w, v)), *(quat.rotate(q, v) if r else ()))
+
+    def at(self, t: Any) -> Any:
+        return t, self.inner.at(t)
+
+    def field(self, g: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
+        t, of_rotation = g
+        a, moved = self._split(x)
+        coupled = self._named(moved)
+        translated = () if self._force is None else self._translation(self._force, t, a, coupled)
+        rotated = self.inner.field(of_rotation, a, coupled)
+        n = len(rotated) - self._states
+        return (*rotated[:n], *translated, *rotated[n:])
+
+    def updated(self, t: Any, x: Vector) -> Vector:
+        """The state after a sample time, of a body: its states jump, all else goes on."""
+        assert isinstance(self.inner, Body)
+        a, moved = self._split(x)
+        base, n = self.inner.base(a), self.plain.size
+        states = self.inner.updated_states(t, base[:n], base[n:], self._named(moved))
+        return (*x[: len(x) - self._states], *states)
+
+    def base(self, x: Vector) -> Vector:
+        a, moved = self._split(x)
+        return (*self.inner.base(a), *moved)
+
+    def advanced(self, x: Vector, d: Vector) -> Vector:
+        (a, moved), (d_a, d_moved) = self._split(x), self._split(d)
+        return (*self.inner.advanced(a, d_a), *plus(moved, d_moved))
+
+    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+        a, moved = self._split(x)
+        square = self.inner.turning(g[1], self._split(xdot)[0], a, self._named(moved))
+        for of_stage in self._squares:
+            # times four, since limits hold for a quaternion, which rotates at half the body's rate
+            square = larger(square, as_like(4.0 * of_stage, x[0]))
+        self._squares.clear()
+        return square
+
+    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
+        y, moved = self._split(auxiliary)
+        return (*self.inner.begin(q, y), *moved)
+
+    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
+        a, moved = self._split(x)
+        y, d = self.inner.output(a, finish)
+        return (*y, *moved), d
+
+    def invariants(self, x: Vector) -> Vector:
+        return self.inner.invariants(self._split(x)[0])
+
+    def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
+        a, moved = self._split(x)
+        return self.inner.pose(t, a, self._named(moved))

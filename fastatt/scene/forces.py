@@ -11,22 +11,17 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.scene import models
 from fastatt.scene.models import (
-    Law,
     Model,
     Number,
-    Packed,
     PositiveNumber,
-    Resources,
     Sum,
     TabledVector,
     UserModel,
 )
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import apply
-from fastatt.tracing.references import called_as, required_arguments
-from fastatt.tracing.user import FORMS
+from fastatt.tracing.user import FORMS, UserFunction
 
 #: the forms of a user-defined force
 _FORMS = "force", "force at position"
@@ -162,12 +157,7 @@ class Custom(UserModel, Force):
 class _InScene(Custom):
     """``Custom`` together with the number of the scene's states that its function takes."""
 
-    states_of_scene: int = 0
-
-    @property
-    def taken(self) -> int:
-        """Number of states that the function takes."""
-        return self.states_of_scene
+    taken: int = 0
 
 
 class _Weight(CentralGravity):
@@ -193,9 +183,10 @@ def falling(r: Vector, gravitational_parameter: Any) -> Any:
     return gravitational_parameter * inverse * (inverse * inverse)
 
 
-def _in_scene(model: Any, mass: NDArray[np.float64], states: int) -> Any:
+def in_scene(model: Any, mass: NDArray[np.float64], states: int) -> Any:
+    """A force in a scene with ``mass``, () or (N,), kg, and ``states``."""
     if isinstance(model, Sum) and isinstance(model.terms, (tuple, list)):
-        return Sum(tuple(_in_scene(term, mass, states) for term in model.terms))
+        return Sum(tuple(in_scene(term, mass, states) for term in model.terms))
     if isinstance(model, CentralGravity):
         return _Weight(model.gravitational_parameter, mass)
     if isinstance(model, Custom):
@@ -209,7 +200,10 @@ def _taken(model: Custom, states: int) -> int:
 
     Raises ``TypeError`` for more arguments than it can take.
     """
-    names, form = required_arguments(model.function), FORMS[model.form]
+    function = model.function
+    if not isinstance(function, UserFunction):
+        function = UserFunction(function)
+    names, form = function.required, FORMS[model.form]
     more = len(names) - len(form.before) - 1
     if more <= 0:
         return 0
@@ -217,29 +211,11 @@ def _taken(model: Custom, states: int) -> int:
     if more > 1 or not states or ("r" in names and not model.uses_position):
         calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
         raise TypeError(
-            f"force: found {called_as(model.function)}; accepted: "
+            f"force: found {function.called_as}; accepted: "
             f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "
             f"{calls[2]} or {calls[3]}"
         )
     return states
-
-
-def pack(
-    model: Any,
-    n_bodies: int | None,
-    mass: NDArray[np.float64],
-    resources: Resources | None = None,
-    states: int = 0,
-) -> Packed:
-    """``models.pack`` of a force in a scene with ``mass``, () or (N,), kg, and ``states``."""
-    return models.pack(_in_scene(model, mass, states), Force, n_bodies, resources)
-
-
-def squares_of_rates(law: Law, r: Vector, p: Vector) -> list[Any]:
-    """Squares of the orbital rates (rad/s) of a body about each centre of gravity."""
-    if law.parts:
-        return [x for part, own in law.split(p) for x in squares_of_rates(part, r, own)]
-    return [] if law.model.squared_rate is None else [law.numbers(None, p).squared_rate(r)]
 
 
 __all__ = ["CentralGravity", "Constant", "ConstantInertial", "Custom", "Drag", "Sum"]

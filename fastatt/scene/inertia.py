@@ -43,26 +43,25 @@ def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principa
     the sum of the others, tensors that are not symmetric. ``allow_unphysical`` accepts these,
     except moments of 0; the symmetric part of a tensor is used.
     """
-    given = checks.array("inertia", inertia, _SHAPES)
-    found = given.astype(np.float64)
-    if (np.abs(found) > _LARGEST).any():
-        raise ValueError(f"inertia: found {np.abs(found).max():.6g}; accepted: up to {_LARGEST:g}")
-    if not is_tensor(found):
-        _check_moments(found, allow_unphysical)
-        return Principal(found, None)
-    gap = np.atleast_1d(_asymmetry(found))
+    tensor = checks.array("inertia", inertia, _SHAPES).astype(np.float64)
+    if (np.abs(tensor) > _LARGEST).any():
+        raise ValueError(f"inertia: found {np.abs(tensor).max():.6g}; accepted: up to {_LARGEST:g}")
+    if not is_tensor(tensor):
+        _check_moments(tensor, allow_unphysical)
+        return Principal(tensor, None)
+    gap = np.atleast_1d(_asymmetry(tensor))
     if gap.any() and not allow_unphysical:
         b = int(np.argmax(gap > 0.0))
         raise ValueError(
-            f"inertia{[b] if found.ndim == 3 else ''}: the tensor is not symmetric, elements "
+            f"inertia{[b] if tensor.ndim == 3 else ''}: the tensor is not symmetric, elements "
             f"differ by {gap[b]:.3g}; accepted: a symmetric tensor, or allow_unphysical=True for "
             "its symmetric part"
         )
-    found = 0.5 * (found + np.swapaxes(found, -1, -2))
-    if not found[..., [0, 0, 1], [1, 2, 2]].any():
-        moments, axes = np.ascontiguousarray(np.diagonal(found, axis1=-2, axis2=-1)), None
+    tensor = 0.5 * (tensor + np.swapaxes(tensor, -1, -2))
+    if not tensor[..., [0, 0, 1], [1, 2, 2]].any():
+        moments, axes = np.ascontiguousarray(np.diagonal(tensor, axis1=-2, axis2=-1)), None
     else:
-        moments, columns = np.linalg.eigh(found)
+        moments, columns = np.linalg.eigh(tensor)
         columns[..., 0] *= np.linalg.det(columns)[..., None]  # right-handed
         axes = dcm_to_quat(columns)
         # a moment of 0 is one of either sign, to the rounding of the tensor
@@ -72,7 +71,7 @@ def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principa
     return Principal(moments, axes)
 
 
-def is_tensor(given: NDArray[Any]) -> bool:
+def is_tensor(array: NDArray[Any]) -> bool:
     """Whether arrays of shape (3,), (3, 3), (N, 3) or (N, 3, 3) are tensors; a (3, 3) array is one.
 
     Raises ``ValueError`` for a (3, 3) array that may be the moments of three bodies: all elements
@@ -81,26 +80,26 @@ def is_tensor(given: NDArray[Any]) -> bool:
     elements off the diagonal of their tensor add up to at most 2/3 of the trace, while rows that
     bodies have mean at least 4/5 of it.
     """
-    one = given.shape == (3, 3)
-    rows_may_be = one and (_asymmetry(given) > 0.0 or not _past_triangle(*given.T).any())
-    if rows_may_be and (given > 0.0).all():
+    one = array.shape == (3, 3)
+    rows_may_be = one and (_asymmetry(array) > 0.0 or not _past_triangle(*array.T).any())
+    if rows_may_be and (array > 0.0).all():
         raise ValueError(
             "inertia: a (3, 3) array is one tensor, and the rows of this one may be moments of "
             "three bodies; accepted: a symmetric tensor; moments of three bodies as (3, 3, 3), "
             "moments[:, :, None] * np.eye(3); a tensor of no body as (1, 3, 3), with "
             "allow_unphysical=True"
         )
-    return given.shape[-2:] == (3, 3)
+    return array.shape[-2:] == (3, 3)
 
 
-def sort_axes(found: Principal) -> Principal:
+def sort_axes(body: Principal) -> Principal:
     """The body with its intermediate moment on axis 2."""
-    m = found.moments
+    m = body.moments
     if is_sorted(m):
-        return found
+        return body
     order = axis_order(m)
     turn = dcm_to_quat(np.swapaxes(np.eye(3)[order], -1, -2))
-    axes = turn if found.axes is None else quat_multiply(found.axes, turn)
+    axes = turn if body.axes is None else quat_multiply(body.axes, turn)
     return Principal(np.take_along_axis(m, order, axis=-1), axes)
 
 
@@ -113,14 +112,14 @@ def axis_order(moments: NDArray[Any]) -> NDArray[np.intp]:
     return np.asarray((middle[..., None] + np.arange(-1, 2)) % 3)
 
 
-def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:
+def about_arm(body: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[np.float64]]:
     """The bodies with their axis of symmetry third, and the component of an arm along it.
 
     ``arm`` is (3,) or (N, 3), m, along body axes. Raises ``ValueError``, with the index of the
     body, if the moments about two axes normal to the arm are not equal.
     """
-    inside = arm if found.axes is None else quat_rotate_inverse(found.axes, arm)
-    m, inside = np.broadcast_arrays(found.moments, inside)
+    inside = arm if body.axes is None else quat_rotate_inverse(body.axes, arm)
+    m, inside = np.broadcast_arrays(body.moments, inside)
     with np.errstate(over="ignore"):
         size = np.linalg.norm(inside, axis=-1)[..., None]
     first, second = np.array([1, 2, 0]), np.array([2, 0, 1])
@@ -140,18 +139,18 @@ def about_arm(found: Principal, arm: NDArray[Any]) -> tuple[Principal, NDArray[n
             "form of a heavy top: an arm along the axis of two equal moments".format(where, *rows)
         )
     axis = 2 - np.argmax(np.where(fits, np.abs(inside), -1.0)[..., ::-1], axis=-1)
-    at = axis[..., None]
+    place = axis[..., None]
     # the direction of the arm, upwards along that axis
-    side = np.copysign(size, np.take_along_axis(inside, at, axis=-1))
-    oblique = np.take_along_axis(off, at, axis=-1) > 0.0
+    side = np.copysign(size, np.take_along_axis(inside, place, axis=-1))
+    oblique = np.take_along_axis(off, place, axis=-1) > 0.0
     n = np.where(oblique, inside / np.where(oblique, side, 1.0), np.eye(3)[axis])
     reach = np.asarray((inside * n).sum(axis=-1))
     if (n == np.eye(3)[2]).all():
-        return found, reach
+        return body, reach
     turn = np.stack([1.0 + n[..., 2], -n[..., 1], n[..., 0], 0.0 * n[..., 0]], axis=-1)
     turn = normalised(turn)
-    axes = turn if found.axes is None else quat_multiply(found.axes, turn)
-    order = (at + np.array([1, 2, 0])) % 3
+    axes = turn if body.axes is None else quat_multiply(body.axes, turn)
+    order = (place + np.array([1, 2, 0])) % 3
     return Principal(np.take_along_axis(m, order, axis=-1), axes), reach
 
 
@@ -215,5 +214,5 @@ def refuse(moments: NDArray[Any], bad: Any, reason: str, accepted: str) -> None:
     if bad.any():
         b = int(np.argmax(bad))
         where = f"[{b}]" if moments.ndim == 2 else ""
-        found = ", ".join(f"{x:.6g}" for x in moments.reshape(-1, 3)[b])
-        raise ValueError(f"inertia{where} is ({found}): {reason}; accepted: {accepted}")
+        numbers = ", ".join(f"{x:.6g}" for x in moments.reshape(-1, 3)[b])
+        raise ValueError(f"inertia{where} is ({numbers}): {reason}; accepted: {accepted}")

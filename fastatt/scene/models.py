@@ -8,8 +8,9 @@ which alone a formula depends) and an array of parameters, (P,) shared by all bo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Annotated, Any, ClassVar, NamedTuple, Self, dataclass_transform, get_type_hints
 
 import numpy as np
@@ -99,6 +100,8 @@ class Model:
     #: "rate", "torque" or "force"
     kind: ClassVar[str]
     fields: ClassVar[Mapping[str, Field]]
+    #: whether a rate is constant along its axes
+    is_constant: ClassVar[bool] = False
     #: whether a torque or a force depends on the position
     reads_position: ClassVar[bool] = False
     #: number of states of a rate or a torque. Its formula takes them last, and returns their time
@@ -133,12 +136,12 @@ class Model:
 
         They are those of tables that are not cubic, and of tables whose slopes it takes.
         """
-        found = [np.zeros(0)]
+        times = [np.zeros(0)]
         for name, field in self.fields.items():
             value = getattr(self, name)
             if isinstance(value, TimeSeries) and (not value.form.cubic or field.table == "slopes"):
-                found.append(value.t)
-        return np.concatenate(found)
+                times.append(value.t)
+        return np.concatenate(times)
 
     def check(self, name: str) -> None:
         """Refuse impossible numbers; fields are NumPy arrays with the body's index last."""
@@ -237,15 +240,12 @@ class UserModel(Model):
         return self.function.given(*state, self.params)
 
     def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        """The law of a traced or compiled function, and its parameters, (P,) or (N, P)."""
-        given = np.atleast_1d(numbers("params", () if self.params is None else self.params))
-        if given.ndim > 2 or (given.ndim == 2 and not len(given)):
-            raise ValueError(f"params: {checks.shape(given)}; accepted are (P,) and (N, P)")
-        params = join([given], n_bodies, "params")
+        """The law of a function, followed or compiled, and its parameters, (P,) or (N, P)."""
+        params = join([parameters("params", self.params)], n_bodies, "params")
         n = params.shape[-1]
-        made = user_function(self.function, self.form, n, params, self.taken)
-        resources.update(resources_of(made))
-        return Law(replace(self, function=made, params=None), (n,), (None,)), params
+        function = user_function(self.function, self.form, n, params, self.taken)
+        resources.update(resources_of(function))
+        return Law(replace(self, function=function, params=None), (n,), (None,)), params
 
 
 class LookUp(NamedTuple):
@@ -279,42 +279,49 @@ class Law:
         """Number of parameters."""
         return sum(self.sizes) + sum(part.count for part in self.parts)
 
-    def split(self, p: Any) -> list[tuple[Law, Any]]:
-        """Each part with its parameters."""
-        at, found = 0, []
-        for part in self.parts:
-            found.append((part, p[at : at + part.count]))
-            at += part.count
-        return found
+    def terms(self, p: Any) -> Iterator[tuple[Law, Any]]:
+        """The laws of a sum's terms, or this law, each with its parameters."""
+        start = 0
+        for leaf in self.leaves():
+            yield leaf, p[start : start + leaf.count]
+            start += leaf.count
+
+    def having(self, name: str, t: Any, p: Any) -> list[Any]:
+        """The models of terms that have a method of a name, with their numbers at a time."""
+        return [
+            leaf.numbers(t, parameters)
+            for leaf, parameters in self.terms(p)
+            if getattr(leaf.model, name) is not None
+        ]
 
     def numbers(self, t: Any, p: Any) -> Any:
         """The model at a time, with fields from flat parameters or from tables."""
-        at, found = 0, {}
+        start, values = 0, {}
         fields = self.model.fields.items()
         for (name, field), size, look_up in zip(fields, self.sizes, self.look_ups, strict=True):
-            own = p[at : at + size]
-            found[name] = field.shaped(own) if look_up is None else look_up.numbers(t, own)
-            at += size
-        return replace(self.model, **found)
+            parameters = p[start : start + size]
+            values[name] = (
+                field.shaped(parameters) if look_up is None else look_up.numbers(t, parameters)
+            )
+            start += size
+        return replace(self.model, **values)
 
     @cached_property
     def states(self) -> int:
         """The number of its states."""
         return sum(leaf.model.states for leaf in self.leaves())
 
-    def formula(self, *given: Any, states: Vector = ()) -> Any:
+    def formula(self, *arguments: Any, states: Vector = ()) -> Any:
         """The model's formula at a time and further arguments, parameters last.
 
         For a law with ``states``, their time derivatives follow the three components.
         """
-        *state, p = given
-        if not self.parts:
-            own_states = (states,) if self.states else ()
-            return self.numbers(state[0], p).evaluate(*state, *own_states)
-        at, terms = 0, []
-        for law, own in self.split(p):
-            terms.append(law.formula(*state, own, states=states[at : at + law.states]))
-            at += law.states
+        *state, p = arguments
+        start, terms = 0, []
+        for law, parameters in self.terms(p):
+            states_of_term = (states[start : start + law.states],) if law.states else ()
+            terms.append(law.numbers(state[0], parameters).evaluate(*state, *states_of_term))
+            start += law.states
         columns = zip(*(term[:3] for term in terms), strict=True)
         acting = tuple(sum(column[1:], column[0]) for column in columns)
         return (*acting, *(slope for term in terms for slope in term[3:]))
@@ -325,25 +332,22 @@ class Law:
 
         Raises ``ValueError`` for parts whose states jump at different times.
         """
-        found = {leaf.model.sampling for leaf in self.leaves()} - {None}
-        if len(found) > 1:
-            listed = ", ".join(f"{x.period} s from {x.start} s" for x in sorted(found))
+        clocks = {leaf.model.sampling for leaf in self.leaves()} - {None}
+        if len(clocks) > 1:
+            listed = ", ".join(f"{x.period} s from {x.start} s" for x in sorted(clocks))
             raise ValueError(
                 f"torque: found controllers that are sampled every {listed}; accepted: one period "
                 "and one start of all"
             )
-        return found.pop() if found else None
+        return clocks.pop() if clocks else None
 
     def updated(self, t: Any, pose: Any, p: Any, states: Vector) -> Vector:
         """The states after a sample time, of those before."""
-        if not self.parts:
-            return tuple(self.numbers(t, p).update(t, pose, states)) if self.states else ()
-        at = 0
-        found: list[Any] = []
-        for law, own in self.split(p):
-            found += law.updated(t, pose, own, states[at : at + law.states])
-            at += law.states
-        return tuple(found)
+        after: list[Any] = []
+        for law, parameters in self.terms(p):
+            before = states[len(after) : len(after) + law.states]
+            after += law.numbers(t, parameters).update(t, pose, before) if before else ()
+        return tuple(after)
 
     @cached_property
     def reads_position(self) -> bool:
@@ -394,8 +398,8 @@ def pack(
     Raises ``TypeError`` if it is not a model, ``ValueError`` for numbers that are not finite or of
     the wrong shape.
     """
-    found: Resources = {} if resources is None else resources
-    return Packed(*_pack(model, base, n_bodies, argument or base.kind, found), found)
+    resources = {} if resources is None else resources
+    return Packed(*_pack(model, base, n_bodies, argument or base.kind, resources), resources)
 
 
 def _pack(
@@ -410,10 +414,10 @@ def _pack(
         return Law(Sum(()), parts=laws), join(columns, n_bodies, name)
     if isinstance(model, base):
         return model.pack(n_bodies, argument, resources)
-    names = {c.__name__ for c in (*base.__subclasses__(), Sum) if not c.__name__.startswith("_")}
+    names = import_module(f"fastatt.scene.{base.kind}s").__all__
     raise TypeError(
         f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{base.kind}s "
-        f"({', '.join(sorted(names))}) or a function {FORMS[base.kind].call}"
+        f"({', '.join(names)}) or a function {FORMS[base.kind].call}"
     )
 
 
@@ -424,15 +428,23 @@ def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return array.astype(np.float64, copy=False)
 
 
-def along_axes(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A number or three, for all bodies or for each: (1,), (3,), (N, 1) or (N, 3)."""
+def parameters(name: str, value: ArrayLike | None) -> NDArray[np.float64]:
+    """The argument p of a user-defined function, (P,) or (N, P); (0,) for None."""
+    rows = np.atleast_1d(numbers(name, () if value is None else value))
+    if rows.ndim > 2 or (rows.ndim == 2 and not len(rows)):
+        raise ValueError(f"{name}: {checks.shape(rows)}; accepted are (P,) and (N, P)")
+    return rows
+
+
+def along_axes(name: str, value: ArrayLike, axes: int = 3) -> NDArray[np.float64]:
+    """A number, or one of each axis, for all bodies or each: (), (1,), (3,), (N, 1) or (N, 3)."""
     array = numbers(name, value)
-    if array.ndim > 2 or not array.size or array.shape[-1:] not in ((), (1,), (3,)):
+    if array.ndim > 2 or not array.size or array.shape[-1:] not in ((), (1,), (axes,)):
         raise ValueError(
-            f"{name} {checks.shape(array)}; accepted: a number, (3,) per axis, (N, 1) or (N, 3) "
-            "per body"
+            f"{name} {checks.shape(array)}; accepted: a number, ({axes},) per axis, (N, 1) or "
+            f"(N, {axes}) per body"
         )
-    return array if array.ndim else array[None]
+    return array
 
 
 def row_count(n_bodies: int | None, rows: int) -> str:
@@ -450,8 +462,8 @@ def join(columns: Sequence[NDArray[np.float64]], n_bodies: int | None, name: str
     if not rows:
         return np.concatenate([np.zeros(0), *columns])
     if len(rows) > 1 or (n_bodies is not None and rows != {n_bodies}):
-        found, accepted = " and ".join(map(str, sorted(rows))), row_count(n_bodies, max(rows))
-        raise ValueError(f"{name}: found parameters for {found} bodies; accepted: {accepted}")
+        counts, accepted = " and ".join(map(str, sorted(rows))), row_count(n_bodies, max(rows))
+        raise ValueError(f"{name}: found parameters for {counts} bodies; accepted: {accepted}")
     n = rows.pop()
     together = np.concatenate([np.broadcast_to(c, (n, c.shape[-1])) for c in columns], axis=1)
     return np.ascontiguousarray(together)

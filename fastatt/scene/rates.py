@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt.scene.models import Field, Law, Model, Number, PositiveNumber, Sum, UserModel, Vector3
+from fastatt.scene.models import Field, Model, Number, PositiveNumber, Sum, UserModel, Vector3
 from fastatt.tracing.formulas import axpy, scale, trig
 from fastatt.tracing.graph import choose
 
@@ -43,6 +43,7 @@ class Constant(Rate):
     """
 
     w: Vector3
+    is_constant = True
 
     def formula(self: Any, t: Any) -> Any:
         return self.w
@@ -230,11 +231,6 @@ class Custom(UserModel, Rate):
     """
 
     states: int = 0  # type: ignore[misc]
-
-
-def is_constant(law: Law) -> bool:
-    """Whether a rate is constant along its axes."""
-    return isinstance(law.model, Constant)
 
 
 __all__ = [

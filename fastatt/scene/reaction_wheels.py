@@ -38,7 +38,7 @@ class ReactionWheels(Torque):
     so that the angular momentum C (I w + Σ a_k h_k) of body and wheels is constant in inertial axes
     unless other torques act. ``inertia`` of the scene is I, the spacecraft's inertia **without**
     the moments of the wheels about their axes; ``body_inertia`` subtracts these from the inertia of
-    the whole spacecraft. Gravity-gradient torques beside the wheels act on the whole spacecraft.
+    the whole spacecraft. A gravity-gradient torque of the same scene acts on the whole spacecraft.
 
     A run takes the initial values of the states as ``s0`` and returns the states as ``run.s``.
     ``momenta`` computes h from speeds, and ``speeds`` computes speeds from ``run.s``. With K wheels
@@ -142,15 +142,15 @@ class ReactionWheels(Torque):
         name, command = "ReactionWheels", self.command
         axes, _ = self._numbers(name)
         self._sampling(name)
-        given = {
+        of_function = {
             "params": self.params is not None,
             "states": checks.whole(f"{name}.states", self.states, 0) > 0,
             "period": self.period is not None,
         }
         if command is None or isinstance(command, models.Model):
-            found = "without command" if command is None else "beside a model"
-            for key in (key for key, is_given in given.items() if is_given):
-                raise ValueError(f"{name}.{key}: found {found}; accepted: with a function")
+            place = "without command" if command is None else "beside a model"
+            for key in (key for key, is_given in of_function.items() if is_given):
+                raise ValueError(f"{name}.{key}: found {place}; accepted: with a function")
         elif not callable(command):
             raise TypeError(
                 f"{name}.command: found {checks.brief(command)}; accepted: a function "
@@ -163,7 +163,7 @@ class ReactionWheels(Torque):
         count = axes.shape[-2]
         columns["axes"] = axes.reshape(*axes.shape[:-2], -1)
         columns |= {"distribution": np.zeros(0), "params": np.zeros(0)}
-        command, sampled, own = None, self._sampling(name), int(self.states)
+        command, sampled, memory = None, self._sampling(name), int(self.states)
         label = f"{name}.command"
         if isinstance(self.command, models.Model):
             packed = models.pack(self.command, Torque, n_bodies, resources, argument=label)
@@ -171,15 +171,12 @@ class ReactionWheels(Torque):
             inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
             columns["distribution"] = np.swapaxes(inverse, -1, -2).reshape(*axes.shape[:-2], -1)
         elif self.command is not None:
-            given = np.atleast_1d(models.numbers(f"{name}.params", _or_none(self.params)))
-            if given.ndim > 2:
-                raise ValueError(f"{name}.params {checks.shape(given)}; accepted: (K,) or (N, K)")
-            columns["params"] = given
+            params = columns["params"] = models.parameters(f"{name}.params", self.params)
             command = user_function(
-                self.command, "command", given.shape[-1], given, count + own, own
+                self.command, "command", params.shape[-1], params, count + memory, memory
             )
             resources.update(resources_of(command))
-        states = count * (1 if sampled is None else 2) + own
+        states = count * (1 if sampled is None else 2) + memory
         states += command.states if isinstance(command, Law) else 0
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
@@ -210,12 +207,16 @@ class ReactionWheels(Torque):
     def _numbers(self, name: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
         """Unit axes (K, 3) or (N, K, 3), and numbers of each wheel (K,), (N, K), (0,) for none."""
         axes = self._unit_axes(name)
-        columns = {"axes": axes}
+        columns, count = {"axes": axes}, axes.shape[-2]
         for key in ("inertia", "viscous", "coulomb", "coulomb_speed", "max_torque", "max_speed"):
-            value, above_zero = getattr(self, key), key in ("inertia", "coulomb_speed", "max_speed")
+            value, label = getattr(self, key), f"{name}.{key}"
             columns[key] = np.zeros(0)
             if value is not None or not key.startswith("max"):
-                columns[key] = _each(f"{name}.{key}", value, axes.shape[-2], above_zero=above_zero)
+                each = models.along_axes(label, value, count)
+                if key in ("inertia", "coulomb_speed", "max_speed"):
+                    checks.refuse(label, each, each <= 0.0, "above 0")
+                checks.refuse(label, each, each < 0.0, "0 or more")
+                columns[key] = np.broadcast_to(each, (*each.shape[:-1], count))
         return axes, columns
 
     def momenta(self, speeds: ArrayLike, w: ArrayLike) -> NDArray[np.float64]:
@@ -322,13 +323,14 @@ class ReactionWheels(Torque):
         >>> np.diag(wheels.body_inertia((2.0, 2.0, 1.5)))
         array([2. , 2. , 1.4])
         """
-        given = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
-        tensor = given if is_tensor(given) else given[..., None] * np.eye(3)
+        tensor = checks.array("inertia", inertia, "(3,), (3, 3), (N, 3) or (N, 3, 3)")
+        if not is_tensor(tensor):
+            tensor = tensor[..., None] * np.eye(3)
         axes, columns = self._numbers("ReactionWheels")
-        found = tensor - np.einsum("...k,...ki,...kj->...ij", columns["inertia"], axes, axes)
-        lowest = np.linalg.eigvalsh(found)[..., 0]
+        body = tensor - np.einsum("...k,...ki,...kj->...ij", columns["inertia"], axes, axes)
+        lowest = np.linalg.eigvalsh(body)[..., 0]
         checks.refuse("inertia: its lowest moment without wheels", lowest, lowest <= 0.0, "above 0")
-        return np.asarray(found)
+        return np.asarray(body)
 
 
 class _Driven(Torque):
@@ -398,9 +400,9 @@ class _Driven(Torque):
     def _called(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         """What a command that is a function returns, in a row."""
         body = pose.along_body
-        found = self.command.call(t, body.quaternion, body.w, states, self.params)
-        found = tuple(found) if isinstance(found, (tuple, list)) else (found,)
-        return as_like(found, pose.moments[0])
+        torques = self.command.call(t, body.quaternion, body.w, states, self.params)
+        torques = tuple(torques) if isinstance(torques, (tuple, list)) else (torques,)
+        return as_like(torques, pose.moments[0])
 
     def _commanded(self: Any, t: Any, pose: Pose, speeds: Vector, states: Vector) -> Any:
         """Torques that are commanded of the motors, and the time derivatives of states."""
@@ -408,18 +410,19 @@ class _Driven(Torque):
         if self.command is None:
             return (0.0,) * count, ()
         if isinstance(self.command, Law):
-            found = self.command.formula(t, pose, self.params, states=states)
-            torque = found[:3] if pose.axes is None else quat.rotate(pose.axes, found[:3])
-            return tuple(dot(row, torque) for row in self.distribution), found[3:]
+            acting = self.command.formula(t, pose, self.params, states=states)
+            torque = acting[:3] if pose.axes is None else quat.rotate(pose.axes, acting[:3])
+            return tuple(dot(row, torque) for row in self.distribution), acting[3:]
         if self.sampled is not None:
             return states[:count], (0.0,) * len(states)
-        found = self._called(t, pose, (*speeds, *states))
-        return found[:count], found[count:]
+        results = self._called(t, pose, (*speeds, *states))
+        return results[:count], results[count:]
 
     def _within_limits(self: Any, k: int, torque: Any, speed: Any) -> Any:
         """A motor's torque within what it can give."""
         if self.max_torque:
-            torque = _clipped(torque, self.max_torque[k])
+            limit = self.max_torque[k]
+            torque = choose(torque > limit, limit, choose(torque < -limit, -limit, torque))
         if self.max_speed:
             forward = choose(torque < 0.0, -speed, speed)
             room = (self.max_speed[k] - forward) * (1.0 / _FADE) / self.max_speed[k]
@@ -429,26 +432,3 @@ class _Driven(Torque):
 
 # messages name a model by its class
 _Driven.__name__ = ReactionWheels.__name__
-
-
-def _clipped(x: Any, limit: Any) -> Any:
-    return choose(x > limit, limit, choose(x < -limit, -limit, x))
-
-
-def _or_none(value: Any) -> Any:
-    return () if value is None else value
-
-
-def _each(name: str, value: Any, count: int, *, above_zero: bool = False) -> NDArray[np.float64]:
-    """A number of each of the wheels, (K,) or (N, K)."""
-    found = models.numbers(name, value)
-    if found.ndim > 2 or found.shape[-1:] not in ((), (1,), (count,)) or not found.size:
-        raise ValueError(
-            f"{name} {checks.shape(found)}; accepted: a number, ({count},) of the wheels, and of "
-            f"each body (N, 1) or (N, {count})"
-        )
-    if above_zero:
-        checks.refuse(name, found, found <= 0.0, "above 0")
-    else:
-        checks.refuse(name, found, found < 0.0, "0 or more")
-    return np.broadcast_to(found, (*found.shape[:-1], count))

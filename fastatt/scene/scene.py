@@ -13,7 +13,7 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt._jit import plain
 from fastatt.kernels import rigid
-from fastatt.scene import forces, models, rates, torques
+from fastatt.scene import models, torque_record
 from fastatt.scene.equations import PrescribedRate, RigidBody, Structure
 from fastatt.scene.inertia import (
     Principal,
@@ -26,7 +26,6 @@ from fastatt.scene.inertia import (
 from fastatt.scene.models import Law, Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
-from fastatt.tracing.references import keep, sources
 from fastatt.tracing.user import UserFunction
 
 
@@ -82,8 +81,9 @@ class Scene:
 
     Notes
     -----
-    A user-defined function is traced: it is called once with numbers that record its operations,
-    which become part of the compiled loop (:attr:`functions` says whether that was possible).
+    A user-defined function is frozen: values that it refers to are read when the scene is made, and
+    later changes of them do not reach it. It is then followed, so that its operations become part
+    of the compiled loop, or called by the loop, or refused (:attr:`functions` says which).
 
     q and −q are the same attitude. In the representation "quat" the quaternion that a function
     receives changes continuously from ``q0`` on; in others its sign may be another one and jump. A
@@ -132,10 +132,10 @@ class Scene:
         checks.choice("frame", self.frame, ("body", "inertial"))
         checks.flag("allow_unphysical", self.allow_unphysical)
         if (self.rate is None) == (self.inertia is None):
-            found = "neither" if self.rate is None else "both"
+            told = "neither" if self.rate is None else "both"
             if self.rate is None and self.torque is not None:
-                found = "neither, with a torque, which needs inertia"
-            raise ValueError(f"rate, inertia: found {found}; accepted: one of them")
+                told = "neither, with a torque, which needs inertia"
+            raise ValueError(f"rate, inertia: found {told}; accepted: one of them")
         if self.params is not None and not callable(self._acting):
             raise ValueError(
                 f"params: found {checks.brief(self.params)} with the model "
@@ -154,6 +154,8 @@ class Scene:
             raise ValueError(
                 "breakpoints: found for a free body; accepted: with a rate, torque or force"
             )
+        for name in ("rate", "torque", "force"):
+            object.__setattr__(self, name, _held(getattr(self, name)))
         structure, params, _ = self.packed(None)
         if self.mass is None and structure.turning.law.reads_position:
             raise ValueError(
@@ -184,8 +186,8 @@ class Scene:
         return tuple(map(_key, self._given))
 
     def __reduce__(self) -> Any:
-        """The constructor's arguments, with the source of user-defined functions."""
-        return _received, (type(self), self._given, sources(_own_functions(self._given)))
+        """The constructor's arguments."""
+        return type(self), self._given
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Scene) and self._key == other._key
@@ -198,13 +200,13 @@ class Scene:
             return self
         rows = np.arange(self.rows)[bodies]
         dims = {"rate": 1, "params": 1, "torque": 1, "mass": 0, "force": 1}
-        own = {name: _of_rows(getattr(self, name), rows, n) for name, n in dims.items()}
+        numbers = {name: _of_rows(getattr(self, name), rows, n) for name, n in dims.items()}
         inertia: Any = self.inertia
         if inertia is not None and self.principal.moments.ndim == 2:
-            own["inertia"] = chosen = inertia[rows]
+            numbers["inertia"] = chosen = inertia[rows]
             if inertia.ndim == 2 and chosen.shape == (3, 3):  # would be one tensor
-                own["inertia"] = chosen[:, :, None] * np.eye(3)
-        return replace(self, **own)
+                numbers["inertia"] = chosen[:, :, None] * np.eye(3)
+        return replace(self, **numbers)
 
     __iter__ = None  # a scene whose bodies share all numbers has no length
 
@@ -230,26 +232,26 @@ class Scene:
     @property
     def is_constant(self) -> bool:
         """Whether the rate is constant along its axes, so that one exponential is exact."""
-        return isinstance(self.rate, rates.Constant)
+        return isinstance(self.rate, models.Model) and self.rate.is_constant
 
     @cached_property
     def principal(self) -> Principal:
         """Principal moments, kg·m², and axes of ``inertia``. ``ValueError`` for a rate scene."""
         if self.inertia is None:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
-        found = principal(self.inertia, allow_unphysical=self.allow_unphysical)
-        return Principal(*map(_kept, found))
+        body = principal(self.inertia, allow_unphysical=self.allow_unphysical)
+        return Principal(*map(_kept, body))
 
     @cached_property
     def _law(self) -> Law:
-        found: Law = self._body(None).structure.turning.law
-        return found
+        law: Law = self._body(None).structure.turning.law
+        return law
 
     def dependence(self, *, sorted_axes: bool = False) -> Dependence:
         """How the torque depends on w."""
-        found = self.principal
-        turned = found.axes is not None or (sorted_axes and not is_sorted(found.moments))
-        return torques.dependence(self._law, turned=turned)
+        body = self.principal
+        turned = body.axes is not None or (sorted_axes and not is_sorted(body.moments))
+        return torque_record.dependence(self._law, turned=turned)
 
     @property
     def reads_position(self) -> bool:
@@ -259,14 +261,14 @@ class Scene:
     @cached_property
     def has_potential(self) -> bool:
         """Whether kinetic plus potential energy is conserved."""
-        return self.rate is None and torques.has_potential(self._law)
+        return self.rate is None and torque_record.has_potential(self._law)
 
     @cached_property
     def functions(self) -> tuple[UserFunction, ...]:
-        """The user-defined functions, as a tuple; ``straight`` of each says whether it is traced.
+        """The user-defined functions, as a tuple; ``followed`` of each says whether it is followed.
 
-        A traced function becomes part of the compiled loop: it is vectorised and kept in the disk
-        cache. One that can't be traced (``reason`` says why), or is too long, is called for each
+        A followed function becomes part of the compiled loop: it is vectorised and kept in the disk
+        cache. One that can't be followed (``reason`` says why), or is too long, is called for each
         body; a rate whose parameters all bodies share is called once for a group of bodies.
         """
         structure = self.packed(None).structure
@@ -304,11 +306,11 @@ class Scene:
         ``sorted_axes`` puts the intermediate principal axis second; ``position`` is propagated too.
         """
         key = "packed", sorted_axes, position
-        found: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
-        if found.params.ndim == 1:
-            found.params.setflags(write=False)
-            self.memo[key] = found
-        return found
+        packed: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
+        if packed.params.ndim == 1:
+            packed.params.setflags(write=False)
+            self.memo[key] = packed
+        return packed
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
@@ -321,20 +323,24 @@ class Scene:
         )
         if self.mass is None:
             return packed
+        from fastatt.scene import forces
+
         mass = _masses(self.mass)
         model = self.force
         if isinstance(model, (list, tuple, np.ndarray)):
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        states = packed.structure.turning.law.states
-        force = forces.pack(model, n_bodies, mass, packed.resources, states)
+        model = forces.in_scene(model, mass, packed.structure.turning.law.states)
+        force = models.pack(model, forces.Force, n_bodies, packed.resources)
         columns = [packed.params, 1.0 / mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)
         return Packed(structure, join(columns, n_bodies, "mass, force"), packed.resources)
 
     def _rate(self, n_bodies: int | None) -> Packed:
+        from fastatt.scene import rates
+
         model = self.rate
         if callable(model):
             model = rates.Custom(model, self.params, self.states)
@@ -343,31 +349,25 @@ class Scene:
         return packed._replace(structure=structure)
 
     def _body(self, n_bodies: int | None, sorted_axes: bool = False) -> Packed:
-        found = self.principal
-        rows = found.moments.shape[0] if found.moments.ndim == 2 else None
+        body = self.principal
+        rows = body.moments.shape[0] if body.moments.ndim == 2 else None
         if rows is not None and n_bodies not in (None, rows):
             raise ValueError(f"inertia: found {rows} bodies; accepted: {row_count(n_bodies, rows)}")
         if sorted_axes:
-            found = sort_axes(found)
+            body = sort_axes(body)
         model = self.torque
         if callable(model):
-            model = torques.Custom(model, self.params, states=self.states)
-        acting = torques.pack(model, n_bodies)
-        columns_of_moments = tuple(np.moveaxis(found.moments, -1, 0))
+            model = torque_record.Custom(model, self.params, states=self.states)
+        acting = torque_record.pack(model, n_bodies)
+        columns_of_moments = tuple(np.moveaxis(body.moments, -1, 0))
         # the kernel's formula on whole columns
         gyroscopic = np.stack(plain(rigid.gyroscopic_coefficients)(columns_of_moments), axis=-1)
-        columns = [0.5 / found.moments, found.moments, gyroscopic]
-        if found.axes is not None:
-            columns.append(found.axes)
+        columns = [0.5 / body.moments, body.moments, gyroscopic]
+        if body.axes is not None:
+            columns.append(body.axes)
         params = join([*columns, acting.params], n_bodies, "inertia, torque")
-        structure = Structure(RigidBody(acting.structure, found.axes is not None))
+        structure = Structure(RigidBody(acting.structure, body.axes is not None))
         return acting._replace(structure=structure, params=params)
-
-
-def _received(scene: type[Scene], given: tuple[Any, ...], texts: dict[str, str]) -> Scene:
-    """A scene that was pickled."""
-    keep(texts)
-    return scene(*given)
 
 
 def _functions_of(law: Law) -> Iterator[UserFunction]:
@@ -380,13 +380,15 @@ def _functions_of(law: Law) -> Iterator[UserFunction]:
                 yield from _functions_of(value)
 
 
-def _own_functions(value: Any) -> list[Any]:
-    """The user-defined functions in a scene's argument."""
+def _held(value: Any) -> Any:
+    """A function, also of a model, as a scene holds it: it is frozen when it is first packed."""
     if isinstance(value, models.Model):
-        value = value.values
+        is_sum = isinstance(value, models.Sum) and not isinstance(value.terms, (tuple, list))
+        return value if is_sum else value.of(map(_held, value.values))
     if isinstance(value, tuple):
-        return [function for each in value for function in _own_functions(each)]
-    return [value] if callable(value) else []
+        return tuple(map(_held, value))
+    is_given = callable(value) and not isinstance(value, (TimeSeries, UserFunction, type))
+    return UserFunction(value) if is_given else value
 
 
 def _kept(value: Any) -> Any:
@@ -439,10 +441,10 @@ def as_scene(scene: object) -> Scene:
 
 
 def _breakpoints(value: Any) -> tuple[float, ...]:
-    found = np.atleast_1d(numbers("breakpoints", () if value is None else value))
-    if found.ndim > 1:
-        raise ValueError(f"breakpoints: {checks.shape(found)}; accepted: times (B,), s")
-    return tuple(np.unique(found).tolist())
+    times = np.atleast_1d(numbers("breakpoints", () if value is None else value))
+    if times.ndim > 1:
+        raise ValueError(f"breakpoints: {checks.shape(times)}; accepted: times (B,), s")
+    return tuple(np.unique(times).tolist())
 
 
 def _masses(value: ArrayLike) -> NDArray[np.float64]:

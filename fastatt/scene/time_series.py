@@ -18,22 +18,44 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Double
+from fastatt.tracing.library import unknown_in
 from fastatt.tracing.nodes import Recorded
 
 Numbers = NDArray[np.float64]
 
-# the head: first and last time of the samples, the width of an interval (or of a bucket of the
-# index) and the number of the last one, first and last time that is accepted, the number of rows
-# and of numbers in a row, the number of the last interval, where the times (the index) and the
-# samples begin
-_FIRST, _END, _WIDTH, _LAST, _LOW, _HIGH, _ROWS, _ROW, _INTERVAL, _TIMES, _SAMPLES = range(11)
-_HEAD = 11
 _BUCKETS = 2**22
-# by which slopes from a polynomial may magnify the noise of values over the longer interval beside;
-# at the ends of equal intervals n values magnify less than 2^n
+# by which slopes from a polynomial may magnify the noise of values over the longer of two
+# neighbouring intervals; at the ends of equal intervals n values magnify less than 2^n
 _MAGNIFIED = 32.0
 # rounding of a run's time, which may end just beyond a table
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
+
+
+class Head(NamedTuple):
+    """What a table in memory begins with.
+
+    First and last time of the samples; the width of an interval, or of a bucket of the index, and
+    the number of the last one; first and last time that is accepted; the number of rows, and of
+    numbers in a row; the number of the last interval; where the times and the samples begin. The
+    index lies between the head and the times.
+    """
+
+    first: float
+    end: float
+    width: float
+    last: float
+    low: float
+    high: float
+    rows: float
+    row: float
+    interval: float
+    times: float
+    samples: float
+
+
+_SIZE = len(Head._fields)
+# the positions of these numbers
+_AT = Head(*range(_SIZE))
 
 
 class TableLayout(NamedTuple):
@@ -51,9 +73,9 @@ class TimeSeries:
     """A table of numbers sampled in time, for user-defined functions and for models.
 
     ``table(t)``, or ``table(t, row)`` for values (N, T, k), returns a tuple of k floats, or a float
-    for values (T,). Both may be called within a traced function, with ``row`` a parameter of the
-    body such as ``p[0]``. Tables with equal values are equal; ``table[rows]`` is a table of some of
-    the rows.
+    for values (T,). Both may be called within a user-defined function, with ``row`` a parameter of
+    the body such as ``p[0]``. Tables with equal values are equal; ``table[rows]`` is a table of
+    some of the rows.
 
     Parameters
     ----------
@@ -147,10 +169,11 @@ class TimeSeries:
         self.scalar = len(shape) == 1
         size = samples.shape[-1] // (2 if cubic else 1)
         self.form = TableLayout(size, cubic, uniform, holds, len(shape) == 3, steps)
-        head = (
-            times[0], times[-1], width if uniform else gaps.min(), buckets - 1.0, times[0] - slack,
-            times[-1] + slack, len(samples), samples[0].size, n - 2.0, _HEAD + len(index) - n,
-            _HEAD + len(index),
+        head = Head(
+            first=times[0], end=times[-1], width=width if uniform else gaps.min(),
+            last=buckets - 1.0, low=times[0] - slack, high=times[-1] + slack, rows=len(samples),
+            row=samples[0].size, interval=n - 2.0, times=_SIZE + len(index) - n,
+            samples=_SIZE + len(index),
         )  # fmt: skip
         self._keep(head, index, samples)
 
@@ -158,6 +181,10 @@ class TimeSeries:
         #: the table in memory, as formulas find it
         self.data: Numbers = np.concatenate([np.ravel(x) for x in parts])
         self.data.setflags(write=False)
+
+    @property
+    def _head(self) -> Head:
+        return Head(*self.data[:_SIZE].tolist())
 
     @cached_property
     def digest(self) -> str:
@@ -179,38 +206,38 @@ class TimeSeries:
     @property
     def t(self) -> Numbers:
         """Times of the samples, s, of shape (T,)."""
-        n = int(self.data[_INTERVAL]) + 2
+        head = self._head
+        n = int(head.interval) + 2
         if self.form.uniform:
-            return np.asarray(self.data[_FIRST] + self.data[_WIDTH] * np.arange(n))
-        return self.data[int(self.data[_TIMES]) :][:n]
+            return np.asarray(head.first + head.width * np.arange(n))
+        return self.data[int(head.times) :][:n]
 
     @property
     def span(self) -> tuple[float, float]:
         """First and last time, s."""
-        return float(self.data[_FIRST]), float(self.data[_END])
+        return self._head.first, self._head.end
 
     @property
     def rows(self) -> int:
         """Number of rows; 1 for a table that all bodies share."""
-        return int(self.data[_ROWS])
+        return int(self._head.rows)
 
     @property
     def samples(self) -> Numbers:
         """The values: (rows, T, k)."""
-        numbers = self.data[int(self.data[_SAMPLES]) :]
+        numbers = self.data[int(self._head.samples) :]
         return numbers.reshape(self.rows, -1, 1 + self.form.cubic, self.form.size)[:, :, 0]
 
     def __getitem__(self, rows: Any) -> TimeSeries:
         if not self.form.own:
             raise TypeError(f"table[rows]: found {self!r}; accepted: a table of values (N, T, k)")
-        begin = int(self.data[_SAMPLES])
+        begin = int(self._head.samples)
         chosen = np.atleast_2d(self.data[begin:].reshape(self.rows, -1)[rows])
-        made = object.__new__(TimeSeries)
-        made.form, made.scalar = self.form, self.scalar
-        head = self.data[:_HEAD].copy()
-        head[_ROWS] = len(chosen)
-        made._keep(head, self.data[_HEAD:begin], chosen)
-        return made
+        table = object.__new__(TimeSeries)
+        table.form, table.scalar = self.form, self.scalar
+        head = self._head._replace(rows=len(chosen))
+        table._keep(head, self.data[_SIZE:begin], chosen)
+        return table
 
     __iter__ = None
 
@@ -239,12 +266,48 @@ class TimeSeries:
         if (row is None) == self.form.own:
             accepted = "table(t, row)" if self.form.own else "table(t), one row is for all"
             raise TypeError(f"row: found {row!r}; accepted: {accepted}")
-        if any(isinstance(x, Recorded) for x in (t, row)):
-            found = recorded(self, self.form, t, row)
-        else:
-            numbers = checks.real("t", t), 0.0 if row is None else checks.real("row", row)
-            found = tuple(tuple(map(float, x)) for x in self._of_arrays(*map(np.float64, numbers)))
-        return tuple(x[0] for x in found) if self.scalar else found
+        row, size = 0.0 if row is None else row, self.form.size
+        numbers: tuple[Any, ...]
+        like = unknown_in(t, row)
+        if like is None:
+            place = checks.real("t", t), checks.real("row", row)
+            numbers = tuple(map(float, self.numbers_at(*map(np.float64, place))))
+        else:  # in a function of users
+            numbers = like.recorder.look_up(self, 2 * size, t, row)
+        pair = numbers[:size], numbers[size:]
+        return tuple(x[0] for x in pair) if self.scalar else pair
+
+    def numbers_at(self, t: Any, row: Any) -> tuple[Any, ...]:
+        """Values, then slopes, for arrays of times and rows.
+
+        Parameters
+        ----------
+        t, row : ndarray
+            Times, s, and indices of rows, which broadcast.
+
+        Returns
+        -------
+        tuple of ndarray
+            The k values, then the k slopes.
+        """
+        values, slopes = self._of_arrays(t, row)
+        return (*values, *slopes)
+
+    def traced_at(self, t: Any, row: Any) -> tuple[Any, ...]:
+        """Values, then slopes, as operations of a compiled loop.
+
+        Parameters
+        ----------
+        t, row : number of a graph
+            Time, s, and index of the row.
+
+        Returns
+        -------
+        tuple of numbers of the graph
+            The k values, then the k slopes.
+        """
+        values, slopes = recorded(self, self.form, t, row)
+        return (*values, *slopes)
 
     def at(self, times: ArrayLike) -> Numbers:
         """Interpolate at many times.
@@ -264,9 +327,9 @@ class TimeSeries:
         ValueError, TypeError
             If ``times`` are no numbers, or of another shape.
         """
-        given = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
-        found = self._of_arrays(given[:, None], np.arange(float(self.rows)))[0]
-        return np.stack(found, axis=-1) if self.form.own else np.concatenate(found, axis=-1)
+        instants = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
+        values = self._of_arrays(instants[:, None], np.arange(float(self.rows)))[0]
+        return np.stack(values, axis=-1) if self.form.own else np.concatenate(values, axis=-1)
 
     def _of_arrays(self, t: Any, row: Any) -> Any:
         def take(place: Any) -> Any:
@@ -302,52 +365,52 @@ def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
 def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
     """(values, slopes) at t in a row. No position is outside the table, whatever the numbers."""
     take, floor, choose = ways
-    inside = (t >= take(_LOW)) & (t <= take(_HIGH))
+    inside = (t >= take(_AT.low)) & (t <= take(_AT.high))
     if form.holds:
-        t = choose(t < take(_FIRST), take(_FIRST), t)
-        t = choose(t > take(_END), take(_END), t)
-    s = (t - take(_FIRST)) / take(_WIDTH)
+        t = choose(t < take(_AT.first), take(_AT.first), t)
+        t = choose(t > take(_AT.end), take(_AT.end), t)
+    s = (t - take(_AT.first)) / take(_AT.width)
     k = floor(choose(s > 0.0, s, 0.0))
-    k = choose(k < take(_LAST), k, take(_LAST))
-    width = take(_WIDTH)
+    k = choose(k < take(_AT.last), k, take(_AT.last))
+    width = take(_AT.width)
     if form.uniform:
         f = s - k
     else:
-        begin = take(_TIMES)
-        k = take(_HEAD + k)
+        begin = take(_AT.times)
+        k = take(_SIZE + k)
         if form.steps:
             k = choose((t < take(begin + k)) & (k > 0.0), k - 1.0, k)
         k = choose(t >= take(begin + k + 1.0), k + 1.0, k)
-        k = choose(k < take(_INTERVAL), k, take(_INTERVAL))
+        k = choose(k < take(_AT.interval), k, take(_AT.interval))
         width = take(begin + k + 1.0) - take(begin + k)
         f = (t - take(begin + k)) / width
         if form.steps:  # 1 at the last sample only; NaN stays
             end = take(begin + k + 1.0)
             f = choose(t >= end, 1.0, choose(t < end, 0.0, f))
-    at = take(_SAMPLES) + (1.0 + form.cubic) * form.size * k
+    sample = take(_AT.samples) + (1.0 + form.cubic) * form.size * k
     if form.own:
-        there = (row >= 0.0) & (row < take(_ROWS)) & (floor(row) == row)
-        at = at + choose(there, row, 0.0) * take(_ROW)
+        there = (row >= 0.0) & (row < take(_AT.rows)) & (floor(row) == row)
+        sample = sample + choose(there, row, 0.0) * take(_AT.row)
     else:
         there = inside
     if form.own or not form.holds:
         known = there if form.holds else inside & there
         f, width = choose(known, f, np.nan), choose(known, width, np.nan)
-    found = [_between(form, at + float(c), f, width, ways) for c in range(form.size)]
-    values, slopes = zip(*found, strict=True)
+    pairs = [_between(form, sample + float(c), f, width, ways) for c in range(form.size)]
+    values, slopes = zip(*pairs, strict=True)
     return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
 
 
-def _between(form: TableLayout, at: Any, f: Any, width: Any, ways: _Ways) -> Any:
+def _between(form: TableLayout, sample: Any, f: Any, width: Any, ways: _Ways) -> Any:
     """(value, slope) at a fraction f of an interval between two samples; NaN if f is."""
     size, take, choose = float(form.size), ways.take, ways.choose
-    a, b = take(at), take(at + (1.0 + form.cubic) * size)
+    a, b = take(sample), take(sample + (1.0 + form.cubic) * size)
     if form.steps:
         return choose(f < 1.0, a, choose(f >= 1.0, b, f)), choose(f < 2.0, 0.0, f)
     rise = b - a
     if not form.cubic:
         return a + f * rise, rise / width
-    da, db = width * take(at + size), width * take(at + 3.0 * size)
+    da, db = width * take(sample + size), width * take(sample + 3.0 * size)
     two, three = 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise
     value = a + f * (da + f * (two + f * three))
     return value, (da + f * (2.0 * two + f * (3.0 * three))) / width
@@ -355,9 +418,9 @@ def _between(form: TableLayout, at: Any, f: Any, width: Any, ways: _Ways) -> Any
 
 def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
     """Samples as (rows, T, k)."""
-    found = checks.array(name, value, f"({n},), ({n}, k) or (N, {n}, k)")
-    found = found[:, None] if found.ndim == 1 else found
-    return found.reshape((-1, *found.shape[-2:])).astype(np.float64)
+    samples = checks.array(name, value, f"({n},), ({n}, k) or (N, {n}, k)")
+    samples = samples[:, None] if samples.ndim == 1 else samples
+    return samples.reshape((-1, *samples.shape[-2:])).astype(np.float64)
 
 
 def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
@@ -370,20 +433,20 @@ def derivatives(t: Numbers, values: NDArray[Any], n: int) -> NDArray[Any]:
     itself = np.arange(len(t))
     first = np.clip(itself - (n - 1) // 2, 0, len(t) - n)
     places = first[:, None] + np.arange(n)
-    own = itself - first
+    node = itself - first
     gaps = t[places][:, :, None] - t[places][:, None, :]
     gaps[:, range(n), range(n)] = 1.0
     barycentric = 1.0 / gaps.prod(axis=2)
-    weights = barycentric / barycentric[itself, own][:, None] / gaps[itself, own]
-    weights[itself, own] = 0.0
-    weights[itself, own] = -weights.sum(axis=1)
-    found = np.einsum("tn,tn...->t...", weights, values[places])
+    weights = barycentric / barycentric[itself, node][:, None] / gaps[itself, node]
+    weights[itself, node] = 0.0
+    weights[itself, node] = -weights.sum(axis=1)
+    slopes = np.einsum("tn,tn...->t...", weights, values[places])
     before, after = np.maximum(itself - 1, 0), np.minimum(itself + 1, len(t) - 1)
     reach = np.maximum(t - t[before], t[after] - t)
     poor = ~(reach * np.abs(weights).sum(axis=1) <= max(_MAGNIFIED, 2.0**n))
     a, b = before[poor], after[poor]
-    found[poor] = ((values[b] - values[a]).T / (t[b] - t[a])).T
-    return np.asarray(found)
+    slopes[poor] = ((values[b] - values[a]).T / (t[b] - t[a])).T
+    return np.asarray(slopes)
 
 
 def _index(t: Numbers) -> Numbers:

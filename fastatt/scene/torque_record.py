@@ -1,18 +1,34 @@
-"""The base class of torque models, and the pose of the body at which a torque is evaluated."""
+"""What a torque is: the base class of models, the pose at which it is evaluated, its properties.
+
+The torques of user-defined functions are here too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.attitudes import QUATERNION, Attitude
-from fastatt.scene.models import Model
-from fastatt.tracing.formulas import Vector, quat
+from fastatt.scene import models
+from fastatt.scene.models import (
+    Law,
+    Model,
+    Packed,
+    PackedLaw,
+    Resources,
+    Sum,
+    UserModel,
+    resources_of,
+)
+from fastatt.tracing.formulas import Vector, as_like, plus, quat
+from fastatt.tracing.user import UserFunction, user_function
 
 
 class Dependence(IntEnum):
@@ -23,7 +39,7 @@ class Dependence(IntEnum):
     RATE = 2
 
 
-class Beside(NamedTuple):
+class CoupledStates(NamedTuple):
     """The quantities that are stepped with an attitude; () for those that a scene does not have.
 
     The velocity is along body axes and the position along inertial axes; the states are those of a
@@ -35,13 +51,13 @@ class Beside(NamedTuple):
     states: Vector = ()
 
 
-ALONE = Beside()
+UNCOUPLED = CoupledStates()
 
 
 class Pose:
     """Attitude, angular velocity and principal moments at which a torque is evaluated.
 
-    ``beside`` has the quantities that are stepped with the attitude, with the velocity along body
+    ``coupled`` has the quantities that are stepped with the attitude, with the velocity along body
     axes; ``axes`` is the quaternion of the principal axes, along which the pose is given, if these
     are not the body axes. ``wheels()`` are (moment of inertia, axis along body axes) of reaction
     wheels, which the principal moments do not contain.
@@ -53,12 +69,12 @@ class Pose:
         x: Vector,
         w: Vector,
         moments: Vector,
-        beside: Beside = ALONE,
+        coupled: CoupledStates = UNCOUPLED,
         axes: Vector | None = None,
         wheels: Callable[[], Iterable[tuple[Any, Vector]]] = tuple,
     ) -> None:
         self._attitude, self._x = attitude, x
-        self.w, self.moments, self.beside, self.axes = w, moments, beside, axes
+        self.w, self.moments, self.coupled, self.axes = w, moments, coupled, axes
         self.wheels = wheels
 
     @cached_property
@@ -76,7 +92,7 @@ class Pose:
         if self.axes is None:
             return self
         q = quat.mul(self.quaternion, quat.conj(self.axes))
-        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.beside)
+        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.coupled)
 
 
 class Torque(Model):
@@ -86,8 +102,8 @@ class Torque(Model):
     the torque.
 
     Optional methods open further uses of a torque. ``energy(t, pose)`` is the potential energy, J;
-    ``linear_damping()`` the three coefficients, N·m·s, of linear damping, and ``decay()`` a bound
-    of them in NumPy. ``lever()`` is (arm, pull), in body and in inertial axes, of a potential
+    ``linear_damping()`` the three coefficients, N·m·s, of linear damping, and ``decay()`` bounds
+    of them as an array. ``lever()`` is (arm, pull), in body and in inertial axes, of a potential
     energy arm·Cᵀpull; a symmetric body with the arm on its axis has a closed form.
     ``wheel_momentum()`` is the angular momentum of wheels, N·m·s along body axes, of torques that
     conserve the momentum of body and wheels together. ``wheels()`` is (moment of inertia, axis) of
@@ -111,8 +127,8 @@ class Torque(Model):
         t, pose, *states = state
         if pose.axes is None or self.axis_free:
             return self.formula(t, pose, *states)
-        found = self.formula(t, pose.along_body, *states)
-        return (*quat.rotate_inverse(pose.axes, found[:3]), *found[3:])
+        along_body = self.formula(t, pose.along_body, *states)
+        return (*quat.rotate_inverse(pose.axes, along_body[:3]), *along_body[3:])
 
 
 # tolerance of the norm of unit vectors
@@ -125,3 +141,173 @@ def check_unit(name: str, value: Any, strength: Any) -> None:
         size = np.linalg.norm(value, axis=0)
     off = (strength != 0.0) & (np.abs(size - 1.0) > ROUNDED)
     checks.refuse(f"{name}: its length", size, off, "1")
+
+
+class Custom(UserModel, Torque):
+    """A torque given by a user-defined function.
+
+    Parameters
+    ----------
+    function : callable
+        ``torque(t, q, w, p) -> (t1, t2, t3)``, N·m along body axes, plain or jitted. Its arguments
+        are the time, s, the unit quaternion, the angular velocity, rad/s, and the parameters, all
+        but t as tuples. With ``uses_position`` it is ``torque(t, q, w, v, r, p)``, with the
+        velocity v along body axes, m/s, and the position r along inertial axes, m. With ``states``
+        it takes the states s before p and returns ``(torque, ds/dt)``.
+    params : array_like of shape (P,) or (N, P), optional
+        Parameters p of the function.
+    uses_rate : bool, default True
+        False promises that the function does not depend on w, so that splitting methods accept it.
+        The promise is checked at a few points.
+    potential : callable, optional
+        ``potential(t, q, p)``, the potential energy, J, plain or jitted, for :func:`fastatt.drift`.
+        A small rotation δ along body axes changes it by −τ·δ, with the torque τ.
+        With ``uses_position`` it is ``potential(t, q, r, p)``, the energy of torque and force
+        together.
+    uses_position : bool, default False
+        Whether the function depends on velocity or position. The scene then needs mass, and
+        everything is stepped as one system, by methods for which ``Method.couples`` is True.
+    states : int, default 0
+        Number of states s of the function, which are stepped with the attitude as one system.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> def spring(t, q, w, p):
+    ...     return 0.0, 0.0, -p[0] * q[0] * q[3]
+    >>> torque = fa.torques.Custom(spring, (0.5,), uses_rate=False)
+    """
+
+    uses_rate: bool = True
+    potential: Callable[..., Any] | None = None
+    uses_position: bool = False
+    states: int = 0  # type: ignore[misc]
+
+    @property
+    def depends(self) -> Dependence:  # type: ignore[override]
+        uses_rate = checks.flag("uses_rate", self.uses_rate)
+        return Dependence.RATE if uses_rate else Dependence.POSITION
+
+    @property
+    def energy(self) -> Any:
+        return None if self.potential is None else self._energy
+
+    def _energy(self: Any, t: Any, pose: Pose) -> Any:
+        return self.potential.given(t, pose.quaternion, pose.coupled.position, self.params)
+
+    def formula(self: Any, t: Any, pose: Pose, *states: Vector) -> Any:
+        placed = pose.coupled[:2] if self.uses_position else ()
+        torque = self.function.call(t, pose.quaternion, pose.w, *placed, *states, self.params)
+        return as_like(torque, pose.moments[0])
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        law, params = super().pack(n_bodies, argument, resources)
+        function = law.model.function
+        # checked when the scene is made, not at each run
+        if (
+            not checks.flag("uses_rate", self.uses_rate)
+            and n_bodies is None
+            and _uses_rate(function)
+        ):
+            raise ValueError(
+                f"{argument}: found Custom.uses_rate False with {function.name}, which gives other "
+                "torques at some w than at w = 0; accepted: True, or a function that does not use w"
+            )
+        if self.potential is not None:
+            form = self.form.replace("torque", "potential")
+            energy = user_function(self.potential, form, law.count, params)
+            resources.update(resources_of(energy))
+            law = replace(law, model=replace(law.model, potential=energy))
+        return law, params
+
+
+def _uses_rate(function: UserFunction) -> bool:
+    """Whether a user-defined torque at a few points differs from the torque at w = 0."""
+    for point in function.usual:
+        t, q, w, *rest = function.nested(point.tolist())
+        turning, still = (np.array(function.call(t, q, v, *rest)) for v in (w, (0.0, 0.0, 0.0)))
+        size = np.max(np.abs(still), where=np.isfinite(still), initial=0.0)
+        if not np.allclose(turning, still, rtol=0.0, atol=1e-9 * size, equal_nan=True):
+            return True
+    return False
+
+
+class _NoTorque(Torque):
+    """The torque of a free body."""
+
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return 0.0, 0.0, 0.0
+
+    def energy(self, t: Any, pose: Pose) -> Any:
+        return 0.0
+
+
+FREE = _NoTorque()
+
+
+def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
+    """Potential energy (J) of a law that has one."""
+    terms = law.having("energy", t, p)
+    return sum(x.energy(t, pose if x.axis_free else pose.along_body) for x in terms)
+
+
+def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
+    """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none.
+
+    ``turned`` says that the principal axes are not the body axes.
+    """
+    # the flow of damping along axes other than principal ones is not known
+    terms = law.having("linear_damping", None, p)
+    coefficients = [x.linear_damping() for x in terms if x.axis_free or not turned]
+    rates = [tuple(c / i for c, i in zip(x, moments, strict=True)) for x in coefficients]
+    return plus(*rates) if rates else None
+
+
+def wheels_of(law: Law, p: Vector) -> list[tuple[Any, Vector]]:
+    """(moment of inertia, axis) of each reaction wheel among the terms of a law."""
+    return [wheel for x in law.having("wheels", None, p) for wheel in x.wheels()]
+
+
+def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """An upper bound of c/I of the linear damping in a model, 1/s, for each body or for all."""
+    if isinstance(model, Sum):
+        return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
+    if not isinstance(model, Torque) or model.decay is None:
+        return np.zeros(())
+    coefficients = np.atleast_1d(np.abs(np.asarray(model.decay(), dtype=np.float64)))
+    return np.asarray(coefficients.max(axis=-1) / moments.min(axis=-1))
+
+
+def lever_of(model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """(arm, pull) of a model that has a lever, each (3,) or (N, 3); None for any other model."""
+    if not isinstance(model, Torque) or model.lever is None:
+        return None
+    law, params = model.pack(None, "torque", {})
+    if any(law.look_ups):  # tables depend on time
+        return None
+    arm, pull = law.numbers(None, np.moveaxis(params, -1, 0)).lever()
+    return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
+
+
+def has_potential(law: Law) -> bool:
+    """Whether kinetic plus potential energy is conserved under a law."""
+    # tables depend on time
+    return all(not any(leaf.look_ups) and leaf.model.energy is not None for leaf in law.leaves())
+
+
+def dependence(law: Law, *, turned: bool = False) -> Dependence:
+    """How a law depends on w; damping per axis counts as such only if axes are not ``turned``."""
+    return max(
+        Dependence.RATE
+        if x.depends is Dependence.DAMPED and turned and not x.axis_free
+        else x.depends
+        for x in (leaf.model for leaf in law.leaves())
+    )
+
+
+def pack(model: Any, n_bodies: int | None, resources: Resources | None = None) -> Packed:
+    """``models.pack`` of a torque, or of none."""
+    return models.pack(FREE if model is None else model, Torque, n_bodies, resources)

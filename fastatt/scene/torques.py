@@ -9,108 +9,373 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastatt.scene import models
-from fastatt.scene.controller import QuaternionPD
-from fastatt.scene.gravity_gradient import (
-    CentralGravityGradient,
-    GravityGradient,
-    GravityGradientAt,
+from fastatt import checks
+from fastatt.scene.controller import QuaternionPD, SampledControl
+from fastatt.scene.models import (
+    Number,
+    PackedLaw,
+    PositiveNumber,
+    Resources,
+    Sum,
+    TabledMomentum,
+    TabledVector,
+    Vector3,
+    along_axes,
 )
-from fastatt.scene.models import Law, Packed, Resources, Sum
 from fastatt.scene.reaction_wheels import ReactionWheels
-from fastatt.scene.sampled_control import SampledControl
-from fastatt.scene.torque_models import (
-    FREE,
-    Constant,
-    ConstantInertial,
-    Custom,
-    Damping,
-    HeavyTop,
-    MagneticDipole,
-    QuadraticDamping,
-    Rotor,
-)
-from fastatt.scene.torque_record import Dependence, Pose, Torque
-from fastatt.tracing.formulas import Vector, plus
+from fastatt.scene.torque_record import ROUNDED, Custom, Dependence, Pose, Torque, check_unit
+from fastatt.tracing.formulas import dot, minus, plus, quat, rigid, scale, vec3
+from fastatt.tracing.graph import apply
 
 
-def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
-    """Potential energy (J) of a law that has one."""
-    if law.parts:
-        return sum(potential_of(part, t, pose, own) for part, own in law.split(p))
-    model = law.numbers(t, p)
-    return model.energy(t, pose if model.axis_free else pose.along_body)
+class Constant(Torque):
+    """A constant torque along body axes, such as a thruster's.
 
+    The potential energy is not defined.
 
-def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
-    """c_i/I_i, 1/s, of the linear damping among the terms of a law; None if there is none.
+    Parameters
+    ----------
+    torque : array_like of shape (3,) or (N, 3), or TimeSeries
+        Torque, N·m; a table makes it a function of time.
 
-    ``turned`` says that the principal axes are not the body axes.
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.Constant((0.0, 0.0, 0.1))
     """
-    if law.parts:
-        found = [damping_rates(part, moments, own, turned=turned) for part, own in law.split(p)]
-        known = [x for x in found if x is not None]
-        return plus(*known) if known else None
-    # the flow of damping along axes other than principal ones is not known
-    if law.model.linear_damping is None or (turned and not law.model.axis_free):
-        return None
-    coefficients = law.numbers(None, p).linear_damping()
-    return tuple(c / i for c, i in zip(coefficients, moments, strict=True))
+
+    torque: TabledVector
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return self.torque
 
 
-def wheels_of(law: Law, p: Vector) -> list[tuple[Any, Vector]]:
-    """(moment of inertia, axis) of each reaction wheel among the terms of a law."""
-    if law.parts:
-        return [wheel for part, own in law.split(p) for wheel in wheels_of(part, own)]
-    return [] if law.model.wheels is None else law.numbers(None, p).wheels()
+class ConstantInertial(Torque):
+    """A constant torque along inertial axes.
+
+    The potential energy is not defined.
+
+    Parameters
+    ----------
+    torque : array_like of shape (3,) or (N, 3), or TimeSeries
+        Torque, N·m; a table makes it a function of time.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.ConstantInertial((0.0, 0.0, 0.1))
+    """
+
+    torque: TabledVector
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return pose.to_body(self.torque)
 
 
-def is_free(law: Law) -> bool:
-    """Whether a law is that of a free body."""
-    return bool(law.model == FREE)
+class Damping(Torque):
+    """Linear damping τ_i = −c_i w_i.
+
+    Parameters
+    ----------
+    coefficient : array_like
+        c, N·m·s: a number, or one for each body axis, (3,). One for each body is (N, 1) or (N, 3).
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(0.02))
+    """
+
+    coefficient: Vector3
+    depends = Dependence.DAMPED
+
+    def decay(self) -> Any:
+        return self.coefficient
+
+    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
+        c = np.atleast_1d(along_axes(f"{argument}: Damping.coefficient", self.coefficient))
+        damping: Torque = _DampingOfAxes(c) if c.shape[-1] == 3 else _EqualDamping(c[..., 0])
+        return damping.pack(n_bodies, argument, resources)
 
 
-def fastest_decay(model: Any, moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """An upper bound of c/I of the linear damping in a model, 1/s, for each body or for all."""
-    if isinstance(model, Sum):
-        return sum((fastest_decay(term, moments) for term in model.terms), np.zeros(()))
-    if not isinstance(model, Torque) or model.decay is None:
-        return np.zeros(())
-    return np.asarray(model.decay() / moments.min(axis=-1))
+class _EqualDamping(Torque):
+    """Damping with one coefficient for all axes."""
+
+    coefficient: Number
+    depends = Dependence.DAMPED
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.damping(pose.w, self.linear_damping())
+
+    def linear_damping(self) -> Any:
+        return (self.coefficient,) * 3
 
 
-def lever_of(model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """(arm, pull) of a model that has a lever, each (3,) or (N, 3); None for any other model."""
-    if not isinstance(model, Torque) or model.lever is None:
-        return None
-    law, params = model.pack(None, "torque", {})
-    if any(law.look_ups):  # tables depend on time
-        return None
-    arm, pull = law.numbers(None, np.moveaxis(params, -1, 0)).lever()
-    return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
+class _DampingOfAxes(Torque):
+    """Damping with a coefficient for each body axis."""
+
+    coefficient: Vector3
+    depends = Dependence.DAMPED
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.damping(pose.w, self.coefficient)
+
+    def linear_damping(self) -> Any:
+        return self.coefficient
 
 
-def has_potential(law: Law) -> bool:
-    """Whether kinetic plus potential energy is conserved under a law."""
-    # tables depend on time
-    return all(not any(leaf.look_ups) and leaf.model.energy is not None for leaf in law.leaves())
+# error messages name a model by its class
+_EqualDamping.__name__ = _DampingOfAxes.__name__ = Damping.__name__
 
 
-def dependence(law: Law, *, turned: bool = False) -> Dependence:
-    """How a law depends on w; damping per axis counts as such only if axes are not ``turned``."""
-    if law.parts:
-        return max(dependence(part, turned=turned) for part in law.parts)
-    found: Dependence = law.model.depends
-    if found is Dependence.DAMPED and turned and not law.model.axis_free:
-        return Dependence.RATE
-    return found
+class QuadraticDamping(Torque):
+    """Quadratic damping τ = −c ``|w|`` w.
+
+    Parameters
+    ----------
+    coefficient : float or array_like of shape (N,)
+        c, N·m·s².
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.QuadraticDamping(0.02)
+    """
+
+    coefficient: Number
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return rigid.quadratic_damping(pose.w, self.coefficient)
 
 
-def pack(model: Any, n_bodies: int | None, resources: Resources | None = None) -> Packed:
-    """``models.pack`` of a torque, or of none."""
-    return models.pack(FREE if model is None else model, Torque, n_bodies, resources)
+class HeavyTop(Torque):
+    """The torque of a weight about a fixed point, τ = r × Cᵀ(0, 0, −W).
+
+    The inertia of the scene is that about the fixed point. The torque has a potential energy. A
+    symmetric body whose arm lies on its axis has a closed form (the method "exact").
+
+    Parameters
+    ----------
+    arm : array_like of shape (3,) or (N, 3)
+        Vector r from the fixed point to the centre of mass along body axes, m.
+    weight : float or array_like of shape (N,)
+        Weight W, along −z of the inertial axes, N.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0, 0, 0.1), 10.0))
+    """
+
+    arm: Vector3
+    weight: Number
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        # half of the vertical: the doubling is done to what stays
+        return vec3.cross(vec3.scale(-2.0 * self.weight, self.arm), pose.to_body((0.0, 0.0, 0.5)))
+
+    def energy(self: Any, t: Any, pose: Pose) -> Any:
+        return self.weight * dot(self.arm, pose.to_body((0.0, 0.0, 1.0)))
+
+    def lever(self) -> Any:
+        return self.arm, (0.0, 0.0, self.weight)
+
+
+class MagneticDipole(Torque):
+    """The torque of a magnetic dipole in a field, τ = μ × CᵀB.
+
+    The torque has a potential energy if dipole and field are constant.
+
+    Parameters
+    ----------
+    dipole : array_like of shape (3,) or (N, 3), or TimeSeries
+        Dipole moment μ along body axes, A·m².
+    field : array_like of shape (3,) or (N, 3), or TimeSeries
+        Magnetic field B along inertial axes, T.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.MagneticDipole((0.0, 0.0, 0.1), (3e-5, 0.0, 0.0))
+    """
+
+    dipole: TabledVector
+    field: TabledVector
+    depends = Dependence.POSITION
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return vec3.cross(self.dipole, pose.to_body(self.field))
+
+    def energy(self: Any, t: Any, pose: Pose) -> Any:
+        return -dot(self.dipole, pose.to_body(self.field))
+
+    def lever(self: Any) -> Any:
+        return self.dipole, -self.field
+
+
+class Rotor(Torque):
+    """Wheels with angular momentum h in the body (a gyrostat), τ = h×w − dh/dt.
+
+    The inertia of the scene is that of the whole body with its wheels locked. Energy and angular
+    momentum of body and wheels are conserved if h is constant.
+
+    Parameters
+    ----------
+    momentum : array_like of shape (3,) or (N, 3), or TimeSeries
+        Angular momentum h of the wheels along body axes, N·m·s, constant or a cubic table.
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), §6.1.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Rotor((0.0, 0.0, 0.5)))
+    """
+
+    momentum: TabledMomentum
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        momentum, slope = self.momentum
+        gyroscopic = vec3.cross(momentum, pose.w)
+        return minus(gyroscopic, slope) if slope else gyroscopic
+
+    def energy(self, t: Any, pose: Pose) -> Any:
+        return 0.0
+
+    def wheel_momentum(self) -> Any:
+        return self.momentum
+
+
+class GravityGradient(Torque):
+    """Gravity-gradient torque τ = 3 n² o×(I o) in a circular orbit.
+
+    I is the inertia of the scene, with the moments of its :class:`ReactionWheels` about their axes.
+    o is the direction from the planet to the body. At t = 0 it lies along ``radial``, and a quarter
+    of an orbit later along ``along``.
+
+    Parameters
+    ----------
+    mean_motion : float or array_like of shape (N,)
+        Mean motion n, rad/s.
+    radial : array_like of shape (3,) or (N, 3), default (1, 0, 0)
+        Unit vector along inertial axes.
+    along : array_like of shape (3,) or (N, 3), default (0, 1, 0)
+        Unit vector along inertial axes, normal to ``radial``.
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), §8.1.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.GravityGradient(mean_motion=1.1e-3)
+    """
+
+    mean_motion: Number
+    radial: Vector3 = (1.0, 0.0, 0.0)
+    along: Vector3 = (0.0, 1.0, 0.0)
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        o = pose.to_body(rigid.orbit_direction(t, self.mean_motion, self.radial, self.along))
+        return _gravity_gradient(o, self.mean_motion, pose)
+
+    def check(self: Any, name: str) -> None:
+        check_unit(f"{name}.radial", self.radial, self.mean_motion)
+        check_unit(f"{name}.along", self.along, self.mean_motion)
+        across = (np.clip(self.radial, -1.0, 1.0) * np.clip(self.along, -1.0, 1.0)).sum(axis=0)
+        off = (self.mean_motion != 0.0) & (np.abs(across) > ROUNDED)
+        checks.refuse(f"{name}.radial·along", across, off, "0, vectors at right angles")
+
+
+class GravityGradientAt(Torque):
+    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at a given position r o.
+
+    Parameters
+    ----------
+    position : array_like of shape (3,) or (N, 3), or TimeSeries
+        Position relative to the planet's centre along inertial axes, m.
+    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
+        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> torque = fa.torques.GravityGradientAt((7.0e6, 0.0, 0.0))
+    """
+
+    position: TabledVector
+    gravitational_parameter: PositiveNumber = 3.986004418e14
+    depends = Dependence.POSITION
+    axis_free = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return _gravity_gradient_at(self.position, self.gravitational_parameter, pose)
+
+
+class CentralGravityGradient(Torque):
+    """Gravity-gradient torque τ = 3 (μ/r³) o×(I o) at the propagated position r o.
+
+    The position is relative to the planet's centre. The scene needs mass and a force, such as
+    :class:`fastatt.forces.CentralGravity`. Methods for which ``Method.couples`` is True accept it.
+
+    Parameters
+    ----------
+    gravitational_parameter : float or array_like of shape (N,), default 3.986004418e14
+        μ, m³/s². The default is that of the Earth (IERS Conventions 2010, table 1.1).
+
+    References
+    ----------
+    Hughes, *Spacecraft Attitude Dynamics* (1986), equation 8.1.13.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> scene = fa.Scene(
+    ...     inertia=(3.0, 2.0, 1.0), torque=fa.torques.CentralGravityGradient(), mass=10.0,
+    ...     force=fa.forces.CentralGravity(),
+    ... )
+    """
+
+    gravitational_parameter: PositiveNumber = 3.986004418e14
+    depends = Dependence.POSITION
+    axis_free = True
+    reads_position = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return _gravity_gradient_at(pose.coupled.position, self.gravitational_parameter, pose)
+
+
+def _gravity_gradient_at(r: Any, gravitational_parameter: Any, pose: Pose) -> Any:
+    """The gravity-gradient torque at a position r, m, from a point mass, along inertial axes."""
+    inverse = 1.0 / apply("sqrt", dot(r, r))
+    rate = apply("sqrt", gravitational_parameter * inverse) * inverse
+    return _gravity_gradient(pose.to_body(scale(inverse, r)), rate, pose)
+
+
+def _gravity_gradient(o: Any, rate: Any, pose: Pose) -> Any:
+    """The gravity-gradient torque of body and wheels in a direction o from the planet."""
+    torque = rigid.gravity_gradient(o, pose.moments, rate)
+    for moment, axis in pose.wheels():
+        along = axis if pose.axes is None else quat.rotate_inverse(pose.axes, axis)
+        pull = scale(3.0 * rate * rate * moment * dot(along, o), along)
+        torque = plus(torque, vec3.cross(o, pull))
+    return torque
 
 
 __all__ = [

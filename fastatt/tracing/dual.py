@@ -197,10 +197,7 @@ def _dual(x: Any, slopes: Sequence[Any]) -> Any:
 
 
 def _size(values: Sequence[Any]) -> int:
-    sizes = {len(x.slopes) for x in values if isinstance(x, Dual)}
-    if len(sizes) > 1:
-        raise TraceError(f"dual numbers of {' and '.join(map(str, sorted(sizes)))} directions")
-    return sizes.pop()
+    return next(len(x.slopes) for x in values if isinstance(x, Dual))
 
 
 def _aligned(a: Any, b: Any) -> tuple[Any, Any, list[tuple[Any, Any]]]:
@@ -219,11 +216,9 @@ def _same(a: Any, b: Any) -> bool:
 
 def _quotient(a: Any, b: Any) -> Any:
     x, y, pairs = _aligned(a, b)
-    result = x / y
+    result, inverse = x / y, 1.0 / y
     if not isinstance(b, Dual):
-        inverse = 1.0 / y
         return _dual(result, [da * inverse for da, _ in pairs])
-    inverse = 1.0 / y
     return _dual(result, [(da - result * db) * inverse for da, db in pairs])
 
 
@@ -294,8 +289,6 @@ def seed(values: Sequence[Any], size: int, first: int = 0, like: Any = None) -> 
     if not numbers:
         raise TraceError("a seed of known numbers alone")
     places = range(first, first + len(values))
-    if places.stop > size:
-        raise ValueError(f"size: found {size}; accepted: at least {places.stop}")
     of, kind = numbers[0].graph, numbers[0].kind
     units: list[tuple[Any, ...]]
     if of.lanes >= size > 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from heapq import heapify, heappop, heappush
 from itertools import chain
 from typing import Any
 
@@ -12,8 +11,6 @@ from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 
 #: least number of operations of a value that is kept in memory instead of being computed again
 _WORTH = 3
-#: intermediate results in registers beyond which the order is changed; processors have 16 or 32
-_REGISTERS = 24
 #: operations that use a resource in memory, and its kind
 _RESOURCES = {"gather": "table", "opaque": "function"}
 
@@ -62,17 +59,6 @@ class Flat:
         """The operations, in order and fused already, that the results ``ends`` need."""
         found = cls.__new__(cls)
         found.nodes, found.results = _numbered(made, ends)
-        return found
-
-    def in_few_registers(self) -> Flat:
-        """The graph in an order with few intermediate results at a time."""
-        order = _ordered(self.nodes, self.results)
-        at = {i: k for k, i in enumerate(order)}
-        found = Flat.__new__(Flat)
-        found.nodes = [
-            renamed(self.nodes[i], [at[k] for k in operands(self.nodes[i])]) for i in order
-        ]
-        found.results = [at[i] for i in self.results]
         return found
 
     @staticmethod
@@ -209,73 +195,3 @@ class Constants:
                     named = node.op == "in" and node.args[1] not in self.alike
                     self._has_own.append(named or any(self._has_own[k] for k in args if ops))
         return own
-
-
-# orders for few registers
-
-
-def _ordered(made: Sequence[Node], ends: Iterable[int]) -> list[int]:
-    """The operations' numbers in an order with few intermediate results; ``ends`` are the results.
-
-    Intermediate results take the processor's registers. Goodman and Hsu, *Code scheduling and
-    register allocation in large basic blocks* (1988): of the possible next operations, that which
-    frees the most registers; of equal ones the first in the text.
-    """
-    order = range(len(made))
-    free = {i for i in order if made[i].op in ("const", "in")}
-    taken = {i: set(operands(made[i])) - free for i in order}
-    kept = set(ends)
-    if _waiting(order, taken, kept, free) <= _REGISTERS:
-        return list(order)
-    users: dict[int, list[int]] = {i: [] for i in order}
-    for i in order:
-        for k in taken[i]:
-            users[k].append(i)
-    missing = {i: len(taken[i]) for i in order}
-    left = {i: len(users[i]) + (i in kept) for i in order}
-    done = set(free)
-
-    def cost(i: int) -> int:
-        return -sum(left[k] == 1 for k in taken[i])
-
-    found = [i for i in order if i in free]
-    ready = [(cost(i), i) for i in order if i not in free and not missing[i]]
-    heapify(ready)
-    while ready:
-        _, i = heappop(ready)
-        if i in done:
-            continue
-        done.add(i)
-        found.append(i)
-        for k in taken[i]:
-            left[k] -= 1
-            if left[k] == 1:
-                # its last use frees it, which counts more
-                for j in users[k]:
-                    if j not in done and not missing[j]:
-                        heappush(ready, (cost(j), j))
-        for j in users[i]:
-            missing[j] -= 1
-            if not missing[j]:
-                heappush(ready, (cost(j), j))
-    return found
-
-
-def _waiting(
-    order: Sequence[int], taken: Mapping[int, set[int]], kept: set[int], free: set[int]
-) -> int:
-    """The largest number of intermediate results at a time."""
-    uses = {i: int(i in kept) for i in order}
-    for i in order:
-        for k in taken[i]:
-            uses[k] += 1
-    live = most = 0
-    for i in order:
-        if i in free:
-            continue
-        live += 1
-        most = max(most, live)
-        for k in taken[i]:
-            uses[k] -= 1
-            live -= uses[k] == 0
-    return most

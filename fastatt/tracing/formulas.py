@@ -4,32 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import reduce
+from importlib import import_module
 from typing import Any
 
-from fastatt import kernels
 from fastatt.tracing.graph import Graph, Number, _of, choose
 from fastatt.tracing.mathematics import kind_of
 from fastatt.tracing.nodes import Recorded, operands
 from fastatt.tracing.trace import stand_in
 
-compensated: Any = stand_in(kernels.compensated)
-coning: Any = stand_in(kernels.coning)
-dcm: Any = stand_in(kernels.dcm)
-two_rows: Any = stand_in(kernels.two_rows)
-euler313: Any = stand_in(kernels.euler313)
-free_body: Any = stand_in(kernels.free_body)
-heavy_top: Any = stand_in(kernels.heavy_top)
-moser_veselov: Any = stand_in(kernels.moser_veselov)
-mrp: Any = stand_in(kernels.mrp)
-quat: Any = stand_in(kernels.quat)
-rigid: Any = stand_in(kernels.rigid)
-so3: Any = stand_in(kernels.so3)
-trig: Any = stand_in(kernels.trig)
-vec3: Any = stand_in(kernels.vec3)
-
 Vector = tuple[Any, ...]
 #: the largest number of operations between a factor and its inputs in the search
 _DEPTH = 5
+
+
+class Kernels:
+    """A module of kernels for traced numbers; it is imported when one of them is first used."""
+
+    def __init__(self, module: str) -> None:
+        self._module = f"fastatt.kernels.{module}"
+
+    def __getattr__(self, name: str) -> Any:
+        kernel = self.__dict__[name] = stand_in(getattr(import_module(self._module), name))
+        return kernel
+
+
+dcm: Any = Kernels("dcm")
+euler313: Any = Kernels("euler313")
+free_body: Any = Kernels("free_body")
+heavy_top: Any = Kernels("heavy_top")
+mrp: Any = Kernels("mrp")
+quat: Any = Kernels("quat")
+rigid: Any = Kernels("rigid")
+so3: Any = Kernels("so3")
+trig: Any = Kernels("trig")
+vec3: Any = Kernels("vec3")
 
 
 def as_like(x: Any, like: Any) -> Any:

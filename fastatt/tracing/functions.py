@@ -83,6 +83,6 @@ def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) ->
     composed = composed_of(*args)
     if composed is not None:
         return composed.called(formula, function, args)
-    shorter = SHORTER.get(function)
+    shorter = SHORTER.get((function.__module__, function.__name__))
     found = None if shorter is None else shorter(*args)
     return formula(*args) if found is None else found

@@ -7,10 +7,9 @@ operand, so that Python itself evaluates operations of constants.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import operator
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from fastatt.tracing.nodes import (
     Recorded,
     TraceError,
     composed_of,
-    each,
     functions_of_numbers,
     operands,
 )
@@ -38,13 +36,12 @@ class Graph:
     (``span``). Sines of values that depend on a time are narrow too if the graph is ``many``, for
     many bodies. A graph for machine code only may be ``native`` (``fastatt.tracing.native``). While
     a graph is ``strict``, as for a user-defined function, 0 x, 0/x and x − x are operations, since
-    they are NaN for a NaN. ``evaluations`` is how often a step evaluates a user-defined function.
+    they are NaN for a NaN.
     """
 
     def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
         self.lanes, self.native = lanes, native
         self.narrow = self.many = self.strict = False
-        self.evaluations = 1.0
         self.nodes: list[Node] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()
@@ -92,20 +89,9 @@ class Graph:
         return self._of_time[at]
 
 
-class _Deciding(threading.local):
-    """Answers whether a condition holds when Python asks, while execution paths are followed."""
-
-    by: Callable[[Any], bool] | None = None
-
-
-deciding = _Deciding()
-
-
 def _lifted(x: Any, like: Number) -> Number:
     if isinstance(x, Number):
         return x
-    if isinstance(x, Condition):
-        return _lifted(choose(x, 1.0, 0.0), like)
     if not isinstance(x, (int, float, np.number, np.bool_)):
         raise TraceError(f"arithmetic with {type(x).__name__}")
     value = float(x)
@@ -290,14 +276,8 @@ def negated(a: Any) -> Any:
         return not a
     node = a.graph.nodes[a.at]
     if node.op == "not":
-        made = object.__new__(Condition)
-        made.graph, made.at = a.graph, node.args[0]
-        return made
+        return _condition_at(a.graph, node.args[0])
     return _condition(a.graph, "not", a.at)
-
-
-def _as_number(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    return lambda test, other: operation(choose(test, 1.0, 0.0), other)
 
 
 class Condition:
@@ -308,34 +288,13 @@ class Condition:
     at: int
     graph: Graph
 
-    # 1 or 0 in arithmetic, as in Python
-    __add__ = __radd__ = _as_number(operator.add)
-    __mul__ = __rmul__ = _as_number(operator.mul)
-    __sub__, __rsub__ = _as_number(operator.sub), _as_number(_turned(operator.sub))
     __and__ = __rand__ = both
     __or__ = __ror__ = either
     __invert__ = negated
-
-    def __eq__(self, other: object) -> Any:
-        return negated(self != other)
-
-    def __ne__(self, other: object) -> Any:
-        if isinstance(other, bool):
-            return negated(self) if other else self
-        if not isinstance(other, Condition):
-            return NotImplemented
-        return _condition(self.graph, "!=", self.at, other.at)
-
     __hash__ = None  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
-        if deciding.by is None:
-            raise TraceError("a branch on a condition that is not known beforehand")
-        return deciding.by(self)
-
-    def __index__(self) -> int:
-        """1 or 0, as an index of a tuple."""
-        return int(bool(self))
+        raise TraceError("a branch on a condition that is not known beforehand")
 
 
 CLASSES: dict[str, type[Number]] = {"double": Double, "single": Single}
@@ -351,16 +310,20 @@ def _made(graph: Graph, op: str, kind: str, *args: Any) -> Any:
     return _of(graph, graph.add(op, kind, *args), kind)
 
 
-def _condition(graph: Graph, op: str, *args: int) -> Condition:
+def _condition_at(graph: Graph, at: int) -> Condition:
     made = object.__new__(Condition)
-    made.graph, made.at = graph, graph.add(op, "", *args)
+    made.graph, made.at = graph, at
     return made
+
+
+def _condition(graph: Graph, op: str, *args: int) -> Condition:
+    return _condition_at(graph, graph.add(op, "", *args))
 
 
 def choose(test: Any, a: Any, b: Any) -> Any:
     """``a if test else b``, for numbers, conditions and tuples of them."""
     if isinstance(test, Recorded):
-        test = test != 0.0
+        test = test != 0.0  # type: ignore[comparison-overlap]
     if not isinstance(test, Condition):
         return a if test else b
     if isinstance(a, (tuple, list)):
@@ -368,10 +331,6 @@ def choose(test: Any, a: Any, b: Any) -> Any:
             raise TraceError("a choice between tuples of two lengths")
         made = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
         return type(a)(*made) if hasattr(a, "_fields") else tuple(made)
-    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
-        if np.shape(a) != np.shape(b):
-            raise TraceError("a choice between arrays of two shapes")
-        return each(lambda x, y: choose(test, x, y), a, b)
     if isinstance(a, Condition) or isinstance(b, Condition) or isinstance(a, bool):
         if not all(isinstance(x, (Condition, bool, np.bool_)) for x in (a, b)):
             raise TraceError("a choice between a number and a truth value")
@@ -418,11 +377,22 @@ def number(graph: Graph, x: Any, kind: str) -> Number:
     """x as a number of a graph and a precision."""
     if isinstance(x, Number):
         return CLASSES[kind](x)  # type: ignore[no-any-return]
-    if isinstance(x, (bool, Condition)):
-        raise TraceError("a truth value where a number is wanted")
-    if isinstance(x, Composed):
-        raise TraceError(f"a {type(x).__name__} where a number of a graph is wanted")
+    if isinstance(x, (bool, Condition, Composed)):
+        what = type(x).__name__ if isinstance(x, Composed) else "truth value"
+        raise TraceError(f"a {what} where a number of a graph is wanted")
     return _of(graph, graph.add("const", kind, float(x)), kind)  # type: ignore[no-any-return]
+
+
+@contextlib.contextmanager
+def strictly(numbers: Sequence[Any]) -> Iterator[None]:
+    """Python's arithmetic in the graph of some numbers, where they may be NaN."""
+    leaves = (y for x in numbers for y in (getattr(x, "value", x), *getattr(x, "slopes", ())))
+    of = next((x.graph for x in leaves if isinstance(x, Number)), Graph())
+    was, of.strict = of.strict, True
+    try:
+        yield
+    finally:
+        of.strict = was
 
 
 def flattened(values: Any) -> list[Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fastatt._jit import plain
-from fastatt.kernels import free_body, quat, trig
+from fastatt.kernels import trig
 from fastatt.tracing.graph import Double, Number, Single, _made, apply, choose, flattened
 
 
@@ -21,6 +21,8 @@ def _octaves(a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _scale(x: Any) -> tuple[Any, Any]:
+    from fastatt.kernels import free_body
+
     n = choose(x < free_body.least_scaled(x.rounded(free_body.TINY)), -1.0, apply("exponent", x))
     return apply("power_of_two", -1.0 - n), apply("power_of_two", n + 1.0)
 
@@ -67,12 +69,13 @@ def _of_phase(x: Any) -> tuple[Any, Any] | None:
     return s * C + c * S, c * C - s * S
 
 
-#: functions that are at least as accurate as a kernel; they return None where they don't apply
-SHORTER: dict[Any, Callable[..., Any]] = {
-    trig.powers_of_two: _in_machine_code(_powers_of_two),
-    trig.octaves: _in_machine_code(_octaves),
-    free_body.scale: _in_machine_code(_scale),
-    free_body.split_product: _in_machine_code(_split_product),
-    quat.normalise: _in_machine_code(_normalise),
-    trig.sincos: _of_phase,
+#: functions that are at least as accurate as a kernel, by its module and its name; they return None
+#: where they don't apply
+SHORTER: dict[tuple[str, str], Callable[..., Any]] = {
+    ("fastatt.kernels.trig", "powers_of_two"): _in_machine_code(_powers_of_two),
+    ("fastatt.kernels.trig", "octaves"): _in_machine_code(_octaves),
+    ("fastatt.kernels.free_body", "scale"): _in_machine_code(_scale),
+    ("fastatt.kernels.free_body", "split_product"): _in_machine_code(_split_product),
+    ("fastatt.kernels.quat", "normalise"): _in_machine_code(_normalise),
+    ("fastatt.kernels.trig", "sincos"): _of_phase,
 }

@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.nodes import COMPARISONS, Node, operands
+from fastatt.tracing.nodes import COMPARISONS, LIBRARY, SPECIAL, Node, operands
 
 _DEPTH = 5  # operations nested in one expression
 _LENGTH = 80  # characters of an expression beyond which it gets a separate line
@@ -48,10 +49,8 @@ class GraphText:
     def __init__(self, flat: Flat, prefix: str = "t") -> None:
         self.flat, self.prefix = flat, prefix
         self.names = _names(flat.inputs())
-        self.functions = list(dict.fromkeys(n.args[0] for n in flat.nodes if n.op == "opaque"))
         self.lines: list[str] = []
         self._uses = _uses(flat)
-        self._mixed = len({node.kind for node in flat.nodes if node.kind}) > 1
         self._made: list[tuple[ast.expr, int]] = []
         given = iter(self.names)
         for i, node in enumerate(flat.nodes):
@@ -86,123 +85,93 @@ class GraphText:
 
     def _operation(self, node: Node, args: list[ast.expr]) -> ast.expr:
         op = node.op
-        if op == "/" and all(isinstance(x, ast.Constant) for x in args):
-            # Python refuses to divide a constant by 0
-            args = [call_of(node.kind, args[0]), args[1]]
-        if op == "select" and self._mixed:
-            args = [call_of(node.kind, x) if isinstance(x, ast.Constant) else x for x in args]
         if op in _FORMS:
             form = ast.parse(_FORMS[op], mode="eval").body
             return _Operands(args).visit(form)  # type: ignore[no-any-return]
         if op == "item":
             return ast.Subscript(args[0], ast.Constant(node.args[1]))
         if op == "gather":
-            args = [ast.Name(table_name(node.args[0])), *args]
+            args = [ast.Name(f"table{getattr(node.args[0], 'digest', node.args[0])}"), *args]
         elif op == "lane":
             args = [ast.Constant(node.args[0]), *args]
-        name = self.function_name(node.args[0]) if op == "opaque" else op
+        name = _identifier(getattr(node.args[0], "name", "opaque")) if op == "opaque" else op
         name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, name)
         return call_of(name, *args)
 
-    def function_name(self, function: Any) -> str:
-        """Name of a function that is not traced."""
-        name = _identifier(getattr(function, "name", "opaque"))
-        others = [f for f in self.functions if _identifier(getattr(f, "name", "opaque")) == name]
-        return name if len(others) == 1 else f"{name}_{others.index(function)}"
 
-
-def table_name(key: Any) -> str:
-    """Name of the array of a table: a number, or one in a user-defined function."""
-    return f"table{getattr(key, 'digest', key)}"
-
-
-def function(flat: Flat, tables: Mapping[int, Any] | None = None) -> Callable[..., tuple[Any, ...]]:
+def function(flat: Flat, tables: Mapping[Any, Any] | None = None) -> Callable[..., tuple[Any, ...]]:
     """The graph as a Python function of its inputs, in the order of ``flat.inputs()``.
 
     It takes floats or arrays that broadcast, of either precision, and computes in theirs by IEEE
     754: a division by 0 is not an error. ``tables`` are the arrays that the graph reads; functions
     that are not traced are called with floats.
     """
-    text = GraphText(flat)
-    comma = "," if len(text.results) == 1 else ""
-    body = "\n    ".join([*text.lines, f"return ({', '.join(text.results)}{comma})"])
-    program = compile(f"def flat({', '.join(text.names)}):\n    {body}\n", "<flat>", "exec")
-    scope: dict[str, Any] = dict(SCOPE)
-    scope |= {table_name(k): np.asarray(x) for k, x in (tables or {}).items()}
-    scope |= {text.function_name(opaque): _each(opaque) for opaque in text.functions}
-    by_precision: dict[Any, Callable[..., Any]] = {}
 
     def call(*given: Any) -> tuple[Any, ...]:
-        values = [np.asarray(x) for x in given]
-        kind = np.result_type(np.float32 if values else np.float64, *values)
-        if kind not in by_precision:
-            own = {**scope, "where": _where(kind)}
-            exec(program, own)
-            by_precision[kind] = own["flat"]
         # NumPy scalars divide by 0 and overflow as arrays do
-        with np.errstate(all="ignore"):
-            results = by_precision[kind](*(x if x.ndim else x[()] for x in values))
-        floats = all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given)
-        if floats:
+        values = [np.asarray(x)[()] for x in given]
+        kind = np.result_type(np.float32 if values else np.float64, *values).type
+        made = performed(flat.nodes, values, functools.partial(evaluated, tables=tables, kind=kind))
+        results = [made[i] for i in flat.results]
+        if all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given):
             return tuple(map(float, results))
-        # constants are floats, as in the text
-        return tuple(kind.type(x) if type(x) is float else x for x in results)
+        return tuple(kind(x) if type(x) is float else x for x in results)
 
     return call
 
 
-def _where(kind: Any) -> Callable[[Any, Any, Any], Any]:
-    def in_kind(x: Any) -> Any:
-        return kind.type(x) if isinstance(x, float) and not isinstance(x, np.generic) else x
-
-    def where(test: Any, a: Any, b: Any) -> Any:
-        a, b = in_kind(a), in_kind(b)
-        if isinstance(test, np.ndarray):
-            return np.where(test, a, b)
-        return a if test else b
-
-    return where
-
-
-def _each(opaque: Any) -> Callable[..., tuple[Any, ...]]:
-    """A function of floats, applied to each element of arrays."""
-
-    def call(*args: Any) -> tuple[Any, ...]:
-        if not any(isinstance(x, np.ndarray) for x in args):
-            return tuple(opaque(*map(float, args)))
-        arrays = np.broadcast_arrays(*args)
-        rows = [tuple(opaque(*map(float, row))) for row in zip(*map(np.ravel, arrays), strict=True)]
-        return tuple(np.reshape(column, arrays[0].shape) for column in zip(*rows, strict=True))
-
-    return call
+def performed(
+    nodes: Iterable[Node], given: Iterable[Any], operate: Callable[..., Any]
+) -> list[Any]:
+    """The values of all operations, of which ``operate`` gives one, from those of the inputs."""
+    made, numbers = list[Any](), iter(given)
+    with np.errstate(all="ignore"):
+        for node in nodes:
+            of = [made[i] for i in operands(node)]
+            made.append(next(numbers) if node.op == "in" else operate(node, of))
+    return made
 
 
-def _gather(table: Any, index: Any) -> Any:
-    return table.reshape(-1)[np.asarray(index).astype(np.int64)]
+def evaluated(node: Node, given: Sequence[Any], tables: Any = None, kind: Any = np.float64) -> Any:
+    """The value of an operation of arrays or numbers; constants have a kind or that of others."""
+    op, args = node.op, node.args
+    if op == "const":
+        return args[0]
+    if op == "select" or all(type(x) is float for x in given):
+        given = [kind(x) if type(x) is float else x for x in given]
+    if op == "item":
+        return given[0][args[1]]
+    if op == "gather":
+        table = np.ravel(args[0].data if tables is None else tables[args[0]])
+        return table[np.clip(np.nan_to_num(given[0]), 0, table.size - 1).astype(np.int64)]
+    if op == "look":
+        return args[0].numbers_at(*given)
+    if op == "lane":
+        return given[0][..., args[0]]
+    if op == "cast":
+        return {"double": np.float64, "single": np.float32}[node.kind](given[0])
+    if op == "opaque":
+        boxes = np.broadcast_arrays(*given)
+        rows = [args[0](*map(float, x)) for x in zip(*map(np.ravel, boxes), strict=True)]
+        return np.reshape(np.transpose(rows), (args[1], *boxes[0].shape))
+    return (_OPERATIONS.get(op) or getattr(np, op))(*given)
 
 
-#: NumPy's functions by their names in the text
-SCOPE: dict[str, Any] = {
-    "abs": np.abs,
-    "acos": np.arccos,
-    "asin": np.arcsin,
-    "cosh": np.cosh,
-    "double": np.float64,
-    "exp": np.exp,
-    "floor": np.floor,
-    "gather": _gather,
-    "lane": lambda k, x: np.asarray(x)[..., k],
-    "larger": np.maximum,
-    "log": np.log,
-    "logical_not": np.logical_not,
-    "nan": np.nan,
-    "rint": np.rint,
-    "single": np.float32,
-    "sinh": np.sinh,
-    "sqrt": np.sqrt,
-    "tan": np.tan,
-    "tanh": np.tanh,
-}
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "neg": np.negative,
+    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal,
+    "!=": np.not_equal, "and": np.logical_and, "or": np.logical_or, "not": np.logical_not,
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
+    "//": np.floor_divide, "%": np.mod, "pow": np.power, "larger": np.maximum,
+    "fma": lambda a, b, c: a * b + c, "fms": lambda a, b, c: a * b - c,
+    "fnma": lambda a, b, c: c - a * b, "select": lambda *given: np.asarray(np.where(*given))[()],
+    "min": lambda a, b: np.where(b < a, b, a), "max": lambda a, b: np.where(b > a, b, a),
+    "remainder": lambda x, y: x - np.rint(x / y) * y,
+}  # fmt: skip
+#: functions in the text
+_FUNCTIONS = frozenset({
+    *LIBRARY, *SPECIAL, "abs", "double", "floor", "larger", "nan", "rint", "single", "sqrt", "where"
+})  # fmt: skip
 
 
 def _names(inputs: list[tuple[Any, ...]]) -> list[str]:
@@ -210,9 +179,7 @@ def _names(inputs: list[tuple[Any, ...]]) -> list[str]:
     found: list[str] = []
     for parts in inputs:
         name = _identifier("".join(map(str, parts)))
-        if name in found or name in SCOPE:
-            name = _identifier("_".join(map(str, parts)))
-        while name in found or name in SCOPE or re.fullmatch(r"t\d+", name):
+        while name in found or name in _FUNCTIONS or re.fullmatch(r"t\d+", name):
             name += "_"
         found.append(name)
     return found

@@ -15,11 +15,11 @@ from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case
 from fastatt.trade.recommendation import Recommendation
-from fastatt.trade.search import FINER, SINGLE, Search, work
+from fastatt.trade.search import SINGLE, Search, work
 from fastatt.trade.work_precision import DTYPES, cases_of, problem_over
 
-# methods that were on the frontier for some measured scene; others are tried only if named
-_USUAL = {
+#: methods that were on the frontier for some measured scene; others are tried only if named
+USUAL = {
     "rate": ("lie_midpoint", "rk4", "magnus4", "magnus6", "magnus8", "gauss12"),
     "free": ("exact", "strang2", "rk4", "dmv10", "kahan_li8"),
     "torqued": (
@@ -62,7 +62,7 @@ def recommend(
     w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     t_end : float
-        Duration, s, above 0. It is a whole number of the recommended steps.
+        Time of the end, s, after ``t0``. It is a whole number of the recommended steps away.
     tol : float
         Largest error of any body, rad, above 0. If only some bodies were run, their error is at
         most tol/1.5, as a margin for the others.
@@ -79,7 +79,7 @@ def recommend(
         the first ones and at as many equally spaced times; or at the end only.
     methods : sequence of str or Method, optional
         Methods to choose from. The default is those that are the fastest for some scene;
-        :func:`fastatt.methods_for` lists all.
+        the message of an unknown one lists all.
     representations : sequence of str, default ("quat",)
         Representations to choose from.
     dtypes : sequence of str, default ("float64", "float32")
@@ -113,10 +113,10 @@ def recommend(
     Notes
     -----
     The sample consists of the bodies with the largest errors in a coarse run of all bodies, or of
-    as many as take 0.3 s, of the fastest bodies, and of others that are chosen at random; it is
-    smaller for long runs. For each case the number of steps is searched whose largest error meets
-    ``tol``. The recommendation itself was run on the sample, and on as many of the other bodies as
-    take 0.5 s, those with the largest errors first.
+    as many as take ten million steps, of the fastest bodies, and of others that are chosen at
+    random; it is smaller for long runs. For each case the number of steps is searched whose largest
+    error meets ``tol``. The recommendation itself was run on the sample, and on as many of the
+    other bodies as take four million steps, those with the largest errors first.
 
     Errors are measured against a closed form, or against a run of high order whose step is halved
     until its error falls as its order predicts. Rates, torques and forces are sampled along its
@@ -139,7 +139,7 @@ def recommend(
     whole = problem_over(ensemble, t_end, t0, n_threads)
     fitting = methods_for(scene)
     kind = "torqued" if scene.states else scene.kind
-    usual = [m for m in _USUAL.get(kind, _USUAL["free"]) if m in fitting]
+    usual = [m for m in USUAL.get(kind, USUAL["free"]) if m in fitting]
     cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if methods is None:
         cases = _hopeful(cases, tol)
@@ -148,11 +148,10 @@ def recommend(
         checks.choice("at", at, ("run", "end")),
         checks.whole("sample", sample, 1),
         np.random.default_rng(rng),
-        tol / FINER,
+        tol,
     )
-    search.known.refuse_jumps()
     with progress_bar(progress, len(cases), "case") as done:
-        return search.cheapest(cases, tol, done)
+        return search.cheapest(cases, done)
 
 
 def _hopeful(cases: Sequence[Case], tol: float) -> list[Case]:

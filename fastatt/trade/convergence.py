@@ -78,9 +78,9 @@ class ConvergenceCheck:
     passed: bool
 
     def __str__(self) -> str:
-        found = "no observed order" if self.order is None else f"observed order {self.order:.2f}"
+        order = "no observed order" if self.order is None else f"observed order {self.order:.2f}"
         return (
-            f"{self.method}: {found}, declared {self.declared}; error {self.error:.1e} rad at most "
+            f"{self.method}: {order}, declared {self.declared}; error {self.error:.1e} rad at most "
             f"over {self.measured} of {self.n_bodies} bodies, against a run with {self.divided} "
             f"times as many steps, limited by {self.limited_by}; norm error {self.norm:.1e}"
         )
@@ -155,9 +155,9 @@ def check_convergence(
     ConvergenceWarning
         If the observed order is below the declared one by more than 0.5: the method is wrong, or
         the rate, torque or force is not smooth, such as a sampled torque whose interval is not a
-        whole number of steps. Also if a run whose steps are no whole fraction of ``dt`` differs,
-        since a vibration goes through whole cycles in each step. Also if a rate, torque or force
-        jumps between breakpoints, which is looked for at many times along the motion.
+        whole number of steps. Also if a further run, whose steps do not divide ``dt``, differs: the
+        others cannot detect a vibration that goes through whole cycles in each of their steps. Also
+        if a rate, torque or force jumps at a time that is not declared as a breakpoint.
 
     Notes
     -----
@@ -198,16 +198,17 @@ def check_convergence(
     passed = declared == 0 or order is None or order >= declared - _SLACK
     jump = forcing(ladder.problem, ladder.case, count).jump if passed and record.is_stepped else ""
     worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
-    hidden = "truncation" if ladder.is_clear(_CLEAR) else "round-off"
-    apart = 0.0
+    first, *others = (float(change.max()) for change in ladder.changes)
+    hidden = "truncation" if first > _CLEAR * max(others) else "round-off"
+    is_unresolved = False
     if passed and record.is_stepped and ladder.worst() <= LARGE and not jump:
         apart = float(ladder.apart().max())
-        passed = apart <= _UNRESOLVED * max(ladder.worst(), ladder.floor)
-        # at corners, which dt meets, the difference falls with more steps
-        passed = passed or float(ladder.apart(1.54).max()) < 0.7 * apart
-    if not passed and apart:
+        if apart > _UNRESOLVED * max(ladder.worst(), ladder.floor):
+            # at corners, which dt meets, the difference falls with more steps
+            is_unresolved = float(ladder.apart(1.54).max()) >= 0.7 * apart
+    if is_unresolved:
         order, worst = None, max(worst, apart)
-    if worst > LARGE or (apart and not passed):
+    if worst > LARGE or is_unresolved:
         hidden = "step"
     check = ConvergenceCheck(
         method=record.name,
@@ -219,27 +220,25 @@ def check_convergence(
         norm=float(np.abs(ladder.start.run.norm_error).max()),
         measured=rows.size,
         n_bodies=ensemble.size,
-        passed=passed and not jump,
+        passed=passed and not jump and not is_unresolved,
     )
-    if jump:
-        # two step sizes may have the same error at a jump by chance
-        warnings.warn(f"{check}; but {jump}", ConvergenceWarning, stacklevel=2)
-    elif apart and not passed:
-        warnings.warn(
-            f"{check}. A step size that is no whole fraction of dt gives another motion: the rate, "
-            "torque or force varies within a step; take smaller steps",
-            ConvergenceWarning,
-            stacklevel=2,
+    why = ""
+    if jump:  # two step sizes may have the same error at a jump by chance
+        why = f"; but {jump}"
+    elif is_unresolved:
+        why = (
+            ". A step size that is no whole fraction of dt gives another motion: the rate, torque "
+            "or force varies within a step; take smaller steps"
         )
     elif order is not None and not passed:
-        warnings.warn(
-            f"{check}. Halving the step size divides the error by {2.0**order:.3g}, where order "
+        why = (
+            f". Halving the step size divides the error by {2.0**order:.3g}, where order "
             f"{declared} predicts {2**declared}: a coefficient of the method is wrong, or the "
             "rate, torque or force is not smooth (declare its jumps and corners as "
-            "Scene.breakpoints)",
-            ConvergenceWarning,
-            stacklevel=2,
+            "Scene.breakpoints)"
         )
+    if why:
+        warnings.warn(f"{check}{why}", ConvergenceWarning, stacklevel=2)
     return check
 
 
@@ -252,10 +251,10 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
             break
         ladder.halve()
         if k > 1 and not hidden:
-            found = _order(ladder.changes[-2], ladder.changes[-1], ladder.floor)
-            hidden = found is None
-            if found is not None and not math.isnan(found):
-                orders.append(found)
+            order = _order(ladder.changes[-2], ladder.changes[-1], ladder.floor)
+            hidden = order is None
+            if order is not None and not math.isnan(order):
+                orders.append(order)
         if k >= _SURE and (hidden or (orders and max(orders) >= declared - _SLACK)):
             break
     best = max(orders, default=None)

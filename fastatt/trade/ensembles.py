@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,13 @@ from fastatt.propagation.ensemble import Ensemble
 from fastatt.rounding import noted
 from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
-from fastatt.trade.measure import Case, Problem, Row, best_time, row_of, with_orders
+from fastatt.trade.measure import Case, Problem, Row, best_time, row_of
 from fastatt.trade.reference import Confirmation, Reference, confirm, coning_attitudes, reference
-from fastatt.trade.work_precision import case_rows, cases_of, fewest
+from fastatt.trade.work_precision import case_rows, cases_of, fewest, ladder_rows
 
-CONING, SAMPLES = "coning", "samples"
+SAMPLES = "samples"
 _STEPS = 2.5  # a second, of the grid of ladders
+_REPEATS = 1  # of short runs best_time makes ten times as many
 _SAMPLED = 64  # bodies, at most, whose rates are sampled
 # an inertial frame that is tilted, since 3-1-3 angles about the cone's axis are exact by accident
 TILT = (0.48, -0.6, 0.64, 0.0)
@@ -35,11 +35,11 @@ _TORQUES = (
     torques.Damping(0.02),
     torques.Rotor((0.1, 0.2, 0.3)),
 )
-BODY_SCENES: Mapping[str, Scene] = MappingProxyType({
+BODY_SCENES = {
     "free": Scene(inertia=TRIAXIAL),
     "top": TOP,
     "torqued": Scene(inertia=TRIAXIAL, torque=torques.Sum(_TORQUES)),
-})  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Study:
     check: Confirmation
 
     def __str__(self) -> str:
-        n, t_end = self.problem.ensemble.size, self.problem.t_end
-        return f"{n} {self.title} over {t_end:g} s; reference: {self.known.source}; {self.check}"
+        n, duration = self.problem.ensemble.size, self.problem.duration
+        return f"{n} {self.title} over {duration:g} s; reference: {self.known.source}; {self.check}"
 
     def steps(self, case: Case, per_doubling: int) -> list[int]:
         """Numbers of steps of a case's ladder, from the coarsest that it allows on.
@@ -63,39 +63,34 @@ class Study:
         doubling.
         """
         least = 1 if case.record.window else fewest(self.problem, case)
-        coarsest = _STEPS * self.problem.t_end
+        coarsest = _STEPS * self.problem.duration
         grid = [round(coarsest * 2.0 ** (k / per_doubling)) for k in range(-8, 14 * per_doubling)]
         return [n for n in grid if n >= max(least, 4)]
 
-    def rows(
-        self, case: Case, steps: Sequence[int], repeats: int, seconds: float = math.inf
-    ) -> list[Row]:
+    def rows(self, case: Case, steps: Sequence[int], seconds: float = math.inf) -> list[Row]:
         """A case in these numbers of steps, fewer if rounding dominates or the time is used up."""
         if case.record.window is None:
             return case_rows(
-                self.name, self.problem, self.known, self.check, case, repeats,
+                self.name, self.problem, self.known, self.check, case, _REPEATS,
                 steps=steps, seconds=seconds,
             )  # fmt: skip
-        rows: list[Row] = []
-        for n in steps:
-            rows = with_orders([*rows, self._of_samples(case, n, repeats)], case, case.record.order)
-            spent = sum(row.seconds_per_body for row in rows) * self.problem.ensemble.size * repeats
-            if seconds < math.inf and (rows[-1].plateau or spent > 0.5 * seconds):
-                break
-        return rows
+        most = seconds / ((_REPEATS + 2) * self.problem.ensemble.size)
+        return ladder_rows(
+            lambda n: self._of_samples(case, n), steps, case, case.record.order, 0.0, most
+        )
 
-    def _of_samples(self, case: Case, n: int, repeats: int) -> Row:
+    def _of_samples(self, case: Case, n: int) -> Row:
         """The row of a method for samples, from coning rates at the ends of n intervals."""
-        e, t_end = self.problem.ensemble, self.problem.t_end
+        e, duration = self.problem.ensemble, self.problem.duration
         rate = e.scene.rate
-        data = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, t_end, n + 1))
+        data = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, duration, n + 1))
         with noted() as said:
             seconds, q = best_time(
-                lambda: integrate_rates(data, t_end / n, e.q0, method=case.name), repeats
+                lambda: integrate_rates(data, duration / n, e.q0, method=case.name), _REPEATS
             )
         status = "past the method's limit" if said else ""
         error = angle_between(q[:, -1], self.known.end.q)
-        return row_of(self.name, case, t_end, n, seconds, error, status=status)
+        return row_of(self.name, case, duration, n, seconds, error, status=status)
 
 
 # coning
@@ -141,7 +136,7 @@ def _aligned(scene: Scene, n_bodies: int) -> Ensemble:
 
 #: title, duration, s, and the bodies
 _ENSEMBLES: dict[str, tuple[str, float, Callable[[int], Ensemble]]] = {
-    CONING: ("coning bodies, their rates functions of time", 20.0, _coning),
+    "coning": ("coning bodies, their rates functions of time", 20.0, _coning),
     "free": ("free bodies", 10.0, partial(_aligned, BODY_SCENES["free"])),
     "top": ("heavy symmetric tops", 10.0, _tilted_tops),
     "torqued": (
@@ -163,14 +158,13 @@ def study(name: str, n_bodies: int) -> Study:
 
 def problem(name: str, n_bodies: int) -> Problem:
     """The ensemble of a name in ``SCENES``, without a reference."""
-    _, t_end, ensemble = _ENSEMBLES[name]
+    _, duration, ensemble = _ENSEMBLES[name]
     # samples of more bodies would take memory and time, and tell nothing else
-    return Problem(ensemble(min(n_bodies, _SAMPLED) if name == SAMPLES else n_bodies), t_end)
+    return Problem(ensemble(min(n_bodies, _SAMPLED) if name == SAMPLES else n_bodies), duration)
 
 
 def cases(name: str) -> list[Case]:
     """Every method of a study, on quaternions and on matrices; those for samples have no matrix."""
     if name == SAMPLES:
         return [Case(method) for method in methods_for_samples()]
-    scene = BODY_SCENES.get(name) or Scene(rate=rates.Coning(1.0, 1.0))
-    return cases_of(scene, None, ("quat", "dcm"), ("float64",))
+    return cases_of(problem(name, 1).ensemble.scene, None, ("quat", "dcm"), ("float64",))

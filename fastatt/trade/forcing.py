@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
-from fastatt.propagation.breakpoints import breaks_of, corners_within
+from fastatt.propagation.breakpoints import breaks_within
 from fastatt.scene.equations import Body, PrescribedRate, Structure
-from fastatt.scene.torque_record import Beside
+from fastatt.scene.torque_record import CoupledStates
 from fastatt.tracing.formulas import quat, scale
 from fastatt.trade.measure import Case, Problem
 
 _BODIES = 64  # bodies, evenly from the first to the last, and those with extreme numbers
-_SAMPLES = 2**19  # in all, 1024 to 16384 for each body
+#: in all, 1024 to 16384 for each body
+SAMPLES = 2**19
 _SUSPECTS = 4  # intervals of a body with the largest changes, which are bisected
 _HALVINGS = 24
 # share of the range: a change that stays above it after all bisections is a jump
@@ -46,7 +47,7 @@ class Forcing(NamedTuple):
     jump: str
 
 
-def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
+def forcing(problem: Problem, case: Case, n_steps: int, samples: int = SAMPLES) -> Forcing:
     """Sample rates, torques and forces along a path from a run in ``n_steps`` steps.
 
     There are many more samples than steps, one at random in each interval. The intervals with the
@@ -55,13 +56,12 @@ def forcing(problem: Problem, case: Case, n_steps: int) -> Forcing:
     even = np.linspace(0, problem.ensemble.size - 1, _BODIES).astype(np.intp)
     problem = problem.take(np.union1d(even, problem.ensemble.extremes))
     size = problem.ensemble.size
-    count = int(np.clip(_SAMPLES // size, 1024, 16384))
+    count = int(np.clip(samples // size, 1024, 16384))
     chance = np.random.default_rng(0).uniform(size=count)
-    times = problem.t0 + (np.arange(count) + chance) * (problem.t_end / count)
+    times = problem.t0 + (np.arange(count) + chance) * (problem.duration / count)
     # both sides of each breakpoint, where jumps are declared
     scene = problem.ensemble.scene
-    corners = corners_within(scene, problem.t0, problem.t_end)
-    breaks = breaks_of(corners, problem.t0, problem.t_end, scene.sampling)
+    breaks = breaks_within(scene, problem.t0, problem.duration)
     times = np.sort(np.concatenate([times, breaks.high[:-1], breaks.low[1:]]))
     run = problem.run(case, n_steps, save_at=times)
     signs = np.where((run.q[1:] * run.q[:-1]).sum(axis=-1, keepdims=True) < 0.0, -1.0, 1.0)
@@ -93,7 +93,7 @@ def _examined(
     if not (varies & np.isfinite(ranges)).any():
         return 1, None
     slopes = (changes / np.diff(path[..., 0], axis=0))[~crossing].max(axis=0)
-    steps = _STEPS * problem.t_end * np.max(slopes[varies] / ranges[varies])
+    steps = _STEPS * problem.duration * np.max(slopes[varies] / ranges[varies])
     suspects = np.argsort(changes, axis=0)[-_SUSPECTS:, :, None]
     low, high = (np.take_along_axis(path, suspects + k, axis=0) for k in (0, 1))
     f_low, f_high = _acting(problem, low)[name], _acting(problem, high)[name]
@@ -131,25 +131,25 @@ def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np
     )
     states = np.split(path[..., 1:], (4, 7, 10, 13), axis=-1)
     p = packed.params[..., : structure.n_params]
-    found = formula(path[..., 0], *states, p, tables=packed.tables)
-    return dict(zip(names, found, strict=True))
+    accelerations = formula(path[..., 0], *states, p, tables=packed.tables)
+    return dict(zip(names, accelerations, strict=True))
 
 
 def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: Any, p: Any) -> Any:
     turning, n = structure.turning, structure.turning.n_params
     r = r if structure.position else ()
-    own, q = p[:n], quat.normalise(q)
-    found = []
+    params, q = p[:n], quat.normalise(q)
+    accelerations = []
     if isinstance(turning, PrescribedRate):
-        found.append(turning.law.formula(t, own, states=s)[:3])
+        accelerations.append(turning.law.formula(t, params, states=s)[:3])
     else:
-        motion, attitude, rate = Body(QUATERNION, turning, own, q[0]), q, w
+        motion, attitude, rate = Body(QUATERNION, turning, params, q[0]), q, w
         if motion.axes is not None:
             attitude, rate = quat.mul(q, motion.axes), quat.rotate_inverse(motion.axes, w)
-        torque = motion.torque(t, attitude, rate, Beside(v, r, s))
+        torque = motion.torque(t, attitude, rate, CoupledStates(v, r, s))
         inverse = zip(motion.half_inverse, torque[:3], strict=True)
-        found.append(tuple(2.0 * k * x for k, x in inverse))
+        accelerations.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
         force = structure.force.formula(t, q, w, v, r, s, p[n + 1 :])
-        found.append(scale(p[n], tuple(force)))
-    return tuple(found)
+        accelerations.append(scale(p[n], tuple(force)))
+    return tuple(accelerations)

@@ -43,12 +43,12 @@ def see(problem: Problem, case: Case, n: int, most: int, by: int = 1) -> Sight:
     if n > most > 1:
         parts.insert(0, (most, 1))
     runs = [
-        replace(problem, t_end=problem.t_end * m / n).run(case, m * by, stride * by)
+        replace(problem, duration=problem.duration * m / n).run(case, m * by, stride * by)
         for m, stride in parts
     ]
     steps = [np.array([*range(stride, m, stride), m]) for m, stride in parts]
     return Sight(
-        np.concatenate(steps) * (problem.t_end / n),
+        np.concatenate(steps) * (problem.duration / n),
         np.concatenate([run.q[1:] for run in runs]),
         runs[-1],
         np.any([run.status != 0 for run in runs], axis=0),
@@ -102,21 +102,13 @@ class Ladder:
     def floor(self) -> float:
         """The difference of two runs, rad, that rounding explains."""
         run = self.sight.run
-        turned = float(np.linalg.norm(run.w, axis=-1).max()) * self.problem.t_end
+        turned = float(np.linalg.norm(run.w, axis=-1).max()) * self.problem.duration
         eps = float(np.finfo(run.state.dtype).eps)
         return 20.0 * eps * (1.0 + turned + math.sqrt(self.n_steps))
 
     def worst(self, back: int = 1) -> float:
         """The largest of the last change, or of the one ``back`` before."""
         return float(self.changes[-back].max())
-
-    def is_clear(self, ratio: float) -> bool:
-        """Whether the first halving changed more than the others, so that rounding does not limit.
-
-        ``ratio`` is the least one of the changes.
-        """
-        first, *others = (float(change.max()) for change in self.changes)
-        return first > ratio * max(others)
 
     def slope(self, back: int = 1) -> float:
         """The order from the largest of two successive changes."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.status import Status
-from fastatt.propagation.drift import drift
-from fastatt.trade.measure import Case, Problem, conserved_momentum, counted
+from fastatt.trade.measure import Case, Problem, counted, drifts_of
 from fastatt.trade.reference import largest_rotation
 
 if TYPE_CHECKING:
@@ -61,53 +62,41 @@ def growth(steps: NDArray[np.int64], values: NDArray[np.float64]) -> str:
 
 def long_run(name: str, problem: Problem, case: Case, n_steps: int) -> list[Drifted]:
     """Run a case in steps of ``ANGLE`` and measure its drifts; none where it is not finite."""
-    dt = ANGLE / (largest_rotation(problem) / problem.t_end)
+    dt = ANGLE / (largest_rotation(problem) / problem.duration)
     stride = n_steps // _SAVES
-    whole = replace(problem, t_end=dt * stride * _SAVES)
+    whole = replace(problem, duration=dt * stride * _SAVES)
     run = whole.run(case, stride * _SAVES, stride)
     if (run.status & Status.NON_FINITE).any():
         return []
-    measured = drift(run, problem.ensemble.scene)
-    every: dict[str, NDArray[np.float64] | None] = {
-        "norm": measured.orthogonality if case.representation == "dcm" else measured.norm,
-        "energy": measured.energy,
-        "momentum": conserved_momentum(measured),
-    }
+    measured = {"norm": np.abs(run.norm_error), **drifts_of(run, problem.ensemble.scene)}
     kept = np.unique(np.geomspace(1, _SAVES, _POINTS).astype(int))
     about, status = (name, case.name, case.representation), counted(run.status_counts())
-    found = []
-    for quantity, values in every.items():
-        if values is not None:
-            drifts = np.sqrt(np.mean(np.square(values[kept]), axis=1))
-            law = growth(stride * kept, drifts)
-            found += [
-                Drifted(*about, quantity, dt, n, value, law, status)
-                for n, value in zip((stride * kept).tolist(), drifts.tolist(), strict=True)
-            ]
-    return found
+    points = []
+    for quantity, values in measured.items():
+        drifts = np.sqrt(np.mean(np.square(values[kept]), axis=1))
+        law = growth(stride * kept, drifts)
+        points += [
+            Drifted(*about, quantity, dt, n, value, law, status)
+            for n, value in zip((stride * kept).tolist(), drifts.tolist(), strict=True)
+        ]
+    return points
 
 
-def ends(found: Iterable[Drifted]) -> list[Drifted]:
+def ends(points: Iterable[Drifted]) -> list[Drifted]:
     """The last of the drifts of each case and quantity."""
-    return list({(x.input, x.method, x.representation, x.quantity): x for x in found}.values())
+    return list({(x.input, x.method, x.representation, x.quantity): x for x in points}.values())
 
 
-def panels(found: Sequence[Drifted], names: Sequence[str]) -> dict[str, Sequence[study.Panel]]:
-    """A row of panels for each quantity, and a panel for each representation of ``names``."""
+def panels(points: Sequence[Drifted]) -> dict[str, list[study.Panel]]:
+    """A row of panels for each quantity of a scene, with a panel for each representation."""
     from fastatt.plots import study
 
-    def curve(points: Sequence[Drifted]) -> study.Curve:
-        return study.Curve(points[0].method, [x.n_steps for x in points], [x.drift for x in points])
-
-    rows: dict[str, Sequence[study.Panel]] = {}
-    for quantity in dict.fromkeys(x.quantity for x in found):
-        drawn: dict[str, dict[str, list[Drifted]]] = {name: {} for name in names}
-        for x in found:
-            if x.quantity == quantity:
-                drawn[x.representation].setdefault(x.method, []).append(x)
-        label = f"steps of {found[0].dt:.3g} s"
-        rows[LABELS[quantity]] = [
-            study.Panel(study.NAMES[name], label, [curve(points) for points in own.values()])
-            for name, own in drawn.items()
-        ]
-    return rows
+    label = f"steps of {points[0].dt:.3g} s"
+    rows: dict[str, dict[str, study.Panel]] = {}
+    curve = attrgetter("quantity", "representation", "method")
+    for (quantity, name, method), drawn in groupby(points, curve):
+        steps, drifts = zip(*((x.n_steps, x.drift) for x in drawn), strict=True)
+        row = rows.setdefault(LABELS[quantity], {})
+        panel = row.setdefault(name, study.Panel(study.NAMES[name], label, []))
+        panel.curves.append(study.Curve(method, steps, drifts))
+    return {quantity: list(row.values()) for quantity, row in rows.items()}

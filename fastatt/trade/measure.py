@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
@@ -21,14 +20,16 @@ from fastatt.arrays import angle_between
 from fastatt.codegen.processor import processor
 from fastatt.engine.job import WIDTH, Job
 from fastatt.engine.status import Status
-from fastatt.files import writing
+from fastatt.files import write_csv
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.drift import Drift, drift
+from fastatt.propagation.drift import drift
 from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.histories import threads_of
 from fastatt.propagation.inspect_step import job_of
-from fastatt.propagation.propagate import propagate, threads_of
+from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.rounding import noted
+from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ _ENOUGH = 0.03
 class Case(NamedTuple):
     """What is measured: a method on a representation in a precision.
 
-    The method is a name or a custom method.
+    The method is a name or a user-defined method.
     """
 
     method: str | Method
@@ -81,10 +82,10 @@ _FASTEST = 1e150
 
 @dataclass(frozen=True)
 class Problem:
-    """An ensemble, with a row for each body, from t0 to t0 + t_end, s."""
+    """An ensemble, with a row for each body, from t0 to t0 + duration, s."""
 
     ensemble: Ensemble
-    t_end: float
+    duration: float
     t0: float = 0.0
     n_threads: int | None = None
 
@@ -100,7 +101,7 @@ class Problem:
         e = self.ensemble
         with noted():
             return propagate(
-                e.scene, **e.initial, dt=self.t_end / n_steps, n_steps=n_steps,
+                e.scene, **e.initial, dt=self.duration / n_steps, n_steps=n_steps,
                 method=case.method, representation=case.representation, dtype=case.dtype,
                 save_every=save_every, save_at=save_at, n_threads=self.n_threads, t0=self.t0,
             )  # fmt: skip
@@ -108,10 +109,6 @@ class Problem:
     def take(self, rows: NDArray[np.intp]) -> Problem:
         """The problem of some of the bodies."""
         return replace(self, ensemble=self.ensemble.take(rows))
-
-    def end(self, case: Case, n_steps: int) -> State:
-        """The state at the end."""
-        return last_state(self.run(case, n_steps))
 
     def operations(self, case: Case) -> int | None:
         """Floating-point operations of a step of one body; None without steps."""
@@ -210,7 +207,7 @@ class Row:
 def row_of(
     name: str,
     case: Case,
-    t_end: float,
+    duration: float,
     n_steps: int,
     seconds: float,
     error: NDArray[np.float64],
@@ -225,7 +222,7 @@ def row_of(
         method=case.name,
         representation=case.representation,
         dtype=case.dtype,
-        dt=t_end / n_steps,
+        dt=duration / n_steps,
         n_steps=n_steps,
         error_median=float(np.median(error)),
         error_p95=float(np.quantile(error, 0.95)),
@@ -255,26 +252,31 @@ def measure(
     """Run a case for its drift, then for its time and error with the final state alone."""
     saved = problem.run(case, n_steps, max(1, n_steps // _SAVES))
     lost = bool((saved.status & Status.NON_FINITE).any())
-    kept = None if lost else drift(saved, problem.ensemble.scene)
+    drifts = {} if lost else drifts_of(saved, problem.ensemble.scene)
     seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
-    found = last_state(result)
-    energy, momentum = (None, None) if kept is None else (kept.energy, conserved_momentum(kept))
+    last = last_state(result)
     return row_of(
-        name, case, problem.t_end, n_steps, seconds,
-        angle_between(found.q, end.q),
-        None if end.w is None else np.linalg.norm(found.w - end.w, axis=-1),
+        name, case, problem.duration, n_steps, seconds,
+        angle_between(last.q, end.q),
+        None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1),
         operations=problem.operations(case),
         norm_error_max=float(np.abs(saved.norm_error).max()),
-        energy_drift_max=None if energy is None else float(energy.max()),
-        momentum_drift_max=None if momentum is None else float(momentum.max()),
         status=counted(result.status_counts()),
+        **{f"{name}_drift_max": float(values.max()) for name, values in drifts.items()},
     )  # fmt: skip
 
 
-def conserved_momentum(measured: Drift) -> NDArray[Any] | None:
-    """The drift of the angular momentum, or of its component along a uniform field."""
-    whole = measured.momentum
-    return measured.momentum_along_field if whole is None else whole
+def drifts_of(run: Trajectory, scene: Scene) -> dict[str, NDArray[Any]]:
+    """Drifts (S, N) of "energy" and "momentum", as far as the motion conserves them.
+
+    The momentum is the angular momentum, or else its component along a uniform field.
+    """
+    measured = drift(run, scene)
+    momentum = measured.momentum
+    if momentum is None:
+        momentum = measured.momentum_along_field
+    every = {"energy": measured.energy, "momentum": momentum}
+    return {name: values for name, values in every.items() if values is not None}
 
 
 def counted(flags: Mapping[str, int]) -> str:
@@ -306,15 +308,15 @@ def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float =
     for i in range(len(points) - 1):
         level = max((e for _, e in points[i + 1 :]), default=0.0)
         flat[i] |= flat[i + 1] and points[i][1] <= 4.0 * level
-    found = []
+    ordered = []
     for i, row in enumerate(rows):
         observed = None
         if i and row.error_median > 0.0 and not flat[i]:
             fall = math.log(points[i - 1][1] / row.error_median)
             observed = fall / math.log(row.n_steps / points[i - 1][0])
         limit = REFERENCE if row.error_median <= 4.0 * unresolved else PLATEAU
-        found.append(replace(row, order=observed, plateau=limit if flat[i] else ""))
-    return found
+        ordered.append(replace(row, order=observed, plateau=limit if flat[i] else ""))
+    return ordered
 
 
 #: heading, field, and the text of a value
@@ -371,41 +373,43 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
     return best
 
 
-def panel(title: str, t_end: float, rows: Sequence[Row]) -> study.Panel:
-    """A curve of errors against times for each method.
+def panels(rows: Sequence[Row], duration: float) -> dict[str, list[study.Panel]]:
+    """A labelled row of panels, one for each representation, with errors against times.
 
-    Curves leave out rows with a flag, and end where rounding limits the error. A method leads where
-    it has a part of the frontier, of all methods or of those that take steps.
+    A panel has a curve for each method. Curves leave out rows with a flag, and end where rounding
+    limits the error. A method leads where it has a part of the frontier, of all methods or of those
+    that take steps.
     """
     from fastatt.plots import study
 
-    drawn: dict[str, list[Row]] = {}
+    label = f"time per body for {duration:g} s of motion, µs"
+    drawn: dict[str, dict[str, list[Row]]] = {}
     for row in rows:
-        curve = drawn.setdefault(row.method + " in float32" * (row.dtype == "float32"), [])
+        curves = drawn.setdefault(study.NAMES.get(row.representation, row.representation), {})
+        curve = curves.setdefault(row.method + " in float32" * (row.dtype == "float32"), [])
         is_over = curve and curve[-1].plateau and 2.0 * row.error_max > curve[-1].error_max
         if not (is_over or row.status) and math.isfinite(row.error_max):
             curve.append(row)
-    every = [row for curve in drawn.values() for row in curve]
-    best = [*frontier(every), *frontier(row for row in every if not row.is_exact)]
-    curves = [
-        study.Curve(
-            name,
-            [row.seconds_per_body * 1e6 for row in curve],
-            [row.error_max for row in curve],
-            any(row in best for row in curve),
-        )
-        for name, curve in drawn.items()
-        if curve
-    ]
-    return study.Panel(title, f"time per body for {t_end:g} s of motion, µs", curves)
+    shown = []
+    for title, curves in drawn.items():
+        every = [row for curve in curves.values() for row in curve]
+        best = [*frontier(every), *frontier(row for row in every if not row.is_exact)]
+        shown.append(study.Panel(title, label, [
+            study.Curve(
+                name,
+                [row.seconds_per_body * 1e6 for row in curve],
+                [row.error_max for row in curve],
+                any(row in best for row in curve),
+            )
+            for name, curve in curves.items()
+            if curve
+        ]))  # fmt: skip
+    return {"largest attitude error at the end, rad": shown}
 
 
-def write_csv(path: str | Path, rows: Sequence[Any]) -> None:
-    """Rows of one dataclass with a line of names."""
-    with writing("path", path, text="utf-8") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(rows[0])] if rows else [])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+def to_csv(path: str | Path, rows: Sequence[Any]) -> None:
+    """Write rows of one dataclass, with a line of names, as CSV."""
+    write_csv("path", path, [f.name for f in fields(rows[0])] if rows else (), map(astuple, rows))
 
 
 def machine_line() -> str:

@@ -13,19 +13,13 @@ from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
-from fastatt.trade.ladder import LARGE, largest_angle, times_compared
-from fastatt.trade.measure import Case, Problem
-from fastatt.trade.reference import Reference, reference, speeds
-from fastatt.trade.search import FINER, UNSEEN
+from fastatt.trade.forcing import forcing
+from fastatt.trade.measure import Case
+from fastatt.trade.reference import speeds
+from fastatt.trade.search import Met, Search
 from fastatt.trade.work_precision import name_of, problem_over
 
 _SIZES = 16  # the most different step sizes
-_LEAST = 4  # steps
-_FIRST = 0.3  # rotation angle of a step in the first trial, rad
-_TRIALS = 14
-_GAIN = 0.95  # another trial is made if it may need fewer than this share of the steps
-_ROUNDED = 1e-6  # rad; a larger error that does not fall with the step is not rounding
-_AIM = 0.8  # share of the tolerance at which a trial aims
 
 
 @dataclass(frozen=True)
@@ -43,14 +37,15 @@ class PerBodySteps:
     t0 : float
         Time of the initial state, s.
     expected_error : float
-        Largest error, rad, of the bodies that were run with these steps, at 64 times, which are
-        closer to each other at the start. It includes the error of the reference.
+        Largest error, rad, of the bodies that were run with these steps, after each step or, for
+        more than 1024 steps, after the first ones and at as many equally spaced times. It includes
+        the error of the reference.
     measured : int
         Number of bodies that were run.
     n_bodies : int
         Number of bodies.
     reference : str
-        The reference of the errors.
+        The reference of the errors of the fastest bodies.
     share : float
         The number of all steps divided by that with the smallest step size for all bodies.
     """
@@ -96,8 +91,7 @@ def per_body_steps(
 ) -> PerBodySteps:
     """Find per-body step sizes for which the largest error over a run meets a tolerance.
 
-    There are at most 16 different ones. The search takes as long as some tens of runs of the
-    sample.
+    There are at most 16 different ones. The search takes some seconds.
 
     Parameters
     ----------
@@ -108,7 +102,7 @@ def per_body_steps(
     w0 : array_like of shape (3,) or (N, 3)
         Initial angular velocities along body axes, rad/s.
     t_end : float
-        Duration, s, above 0.
+        Time of the end, s, after ``t0``.
     tol : float
         Largest error of a body over the run, rad, above 0. If not all bodies are run, those that
         are stay below it by a factor of 1.5, and others can exceed it.
@@ -123,8 +117,8 @@ def per_body_steps(
     t0 : float, default 0.0
         Time of the initial state, s.
     sample : int, default 1536
-        Number of bodies that are run, the fastest among them, in addition to those with the
-        smallest and the largest of each number of the scene.
+        Number of bodies on which steps are searched, the fastest among them, in addition to those
+        with the smallest and the largest of each number of the scene.
     rng : int or numpy.random.Generator, default 0
         Random generator, or a seed for one, which chooses bodies.
 
@@ -142,9 +136,9 @@ def per_body_steps(
     Notes
     -----
     Bodies are divided into at most 16 groups of similar initial rates; each group has one step
-    size. Some bodies of each group, the fastest among them, are run with fewer and fewer steps, and
-    their errors are measured against a reference. The fewest steps whose errors met the tolerance
-    are returned.
+    size, which is found as :func:`fastatt.recommend` finds it: the fewest steps are searched that
+    meet the tolerance on some bodies of the group, and these steps are verified on others of it,
+    those with the largest errors first, on as many of all groups as take four million steps.
 
     Examples
     --------
@@ -161,76 +155,31 @@ def per_body_steps(
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     whole = problem_over(ensemble, t_end, t0)
     tol = checks.above_zero("tol", tol)
-    record = method_of(scene, method, "quat", need="is_stepped")
-    group = _groups(speeds(whole))
+    case = Case(name_of(method_of(scene, method, "quat", stepped=True)))
     size, chance = checks.whole("sample", sample, 1), np.random.default_rng(rng)
-    rows = np.union1d(_sample(group, speeds(whole), size, chance), ensemble.extremes)
-    problem, within = whole.take(rows), tol if rows.size == group.size else tol / UNSEEN
-    known = reference(problem, most=times_compared("run", rows.size), goal=tol / FINER)
-    known.refuse_jumps()
-    known.refuse_beyond(tol)
-    case = Case(name_of(record))
-    fewest, error = _fewest(problem, known, case, group[rows], within)
-    steps = fewest[group]
+    groups = _groups(speeds(whole))
+    steps = np.empty(ensemble.size, dtype=np.int64)
+    runs: list[Met] = []
+    for rows in groups:
+        few = -(-size // len(groups))
+        search = Search(whole.take(rows), "run", few, chance, tol, len(groups))
+        runs.append(search.fewest(case))
+        steps[rows] = runs[-1].n
+    # of the whole ensemble, with more samples than each search takes
+    if jump := forcing(whole, case, int(steps.max())).jump:
+        raise ValueError(f"scene: {jump}")
     return PerBodySteps(
-        case.method, whole.t_end / steps, steps, whole.t0, error, rows.size, group.size,
-        known.source, float(steps.mean() / steps.max()),
+        method=case.method, dt=whole.duration / steps, n_steps=steps, t0=whole.t0,
+        expected_error=max(run.error for run in runs), measured=sum(run.measured for run in runs),
+        n_bodies=ensemble.size, reference=search.known.source,
+        share=float(steps.mean() / steps.max()),
     )  # fmt: skip
 
 
-def _groups(rates: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The group of each body: between equal ratios of the rates, from the slowest on."""
+def _groups(rates: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+    """The bodies between equal ratios of the rates, from the slowest group on."""
     top = max(float(rates.max()), 1e-300)
     # rates that are equal to rounding are in one group
     edges = np.geomspace(np.clip(rates.min(), 1e-6 * top, 0.9 * top), top, _SIZES + 1)
-    return np.unique(np.digitize(rates, edges[1:-1]), return_inverse=True)[1]
-
-
-def _sample(
-    group: NDArray[np.intp], rates: NDArray[np.float64], size: int, chance: np.random.Generator
-) -> NDArray[np.intp]:
-    """Equally many bodies of each group, ``size`` in all, with its fastest; or all bodies."""
-    if size >= group.size:
-        return np.arange(group.size)
-    members = [np.flatnonzero(group == k) for k in range(group.max() + 1)]
-    chosen = [chance.permutation(each)[: max(1, size // len(members))] for each in members]
-    fastest = [each[rates[each].argmax()] for each in members]
-    return np.unique(np.concatenate([*chosen, fastest]))
-
-
-def _fewest(
-    problem: Problem, known: Reference, case: Case, group: NDArray[np.intp], tol: float
-) -> tuple[NDArray[np.intp], float]:
-    """The fewest steps of each group that met the tolerance in a run, with their largest error."""
-    times = problem.t_end * (np.arange(1, 65) / 64.0) ** 2
-    exact, order = known.at(times), case.record.order_of(problem.ensemble.scene.kind)
-
-    def largest(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        found = np.zeros(group.max() + 1)
-        np.maximum.at(found, group, values)
-        return found
-
-    n = np.ceil(largest(speeds(problem)) * problem.t_end / _FIRST + _LEAST - 1).astype(np.intp)
-    best, stayed, least, before = 0 * n, 0 * n, np.zeros(n.size), np.full(n.size, np.inf)
-    for _ in range(_TRIALS):
-        run = problem.run(case, n[group], save_at=problem.t0 + times)
-        errors = largest_angle(run.q, exact) + known.own_error
-        worst = largest(np.where(run.status != 0, np.pi, errors))
-        met = (worst <= tol) & ((best == 0) | (n < best))
-        best, least = np.where(met, n, best), np.where(met, worst, least)
-        # with more steps an error that is not rounding would fall
-        stays = (best == 0) & (0.7 * before < worst) & (worst < _ROUNDED)
-        stayed = np.where(stays, stayed + 1, 0)
-        # neither large errors nor rounding errors have an order
-        change = np.where(worst > LARGE, 2.0, (worst / (_AIM * tol)) ** (1.0 / order))
-        further = np.ceil(np.maximum(n * np.clip(change, 0.5, 8.0), _LEAST)).astype(np.intp)
-        n = np.where(best == 0, np.maximum(further, n + n // 4 + 1), np.minimum(further, best))
-        before = worst
-        if stayed.max() > 1 or (best.all() and (n > _GAIN * best).all()):
-            break
-    if not best.all():
-        raise ValueError(
-            f"tol: found {tol}; accepted: what {case.name} can meet, errors stay at "
-            f"{worst[best == 0].max():.1e} rad"
-        )
-    return best, float(least.max())
+    group = np.digitize(rates, edges[1:-1])
+    return [np.flatnonzero(group == k) for k in np.unique(group)]

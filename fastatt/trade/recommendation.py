@@ -93,13 +93,14 @@ class Recommendation:
         where = "over the run" if self.at == "run" else "at the end"
         # a closed form in double precision is its own reference
         is_reference = self.case.record.is_exact and self.dtype == "float64"
-        found = "estimated" if is_reference else "measured"
-        over = f"{found} over {self.measured} of {self.n_bodies} bodies"
+        how_known = "estimated" if is_reference else "measured"
+        over = f"{how_known} over {self.measured} of {self.n_bodies} bodies"
+        time = self.expected_seconds
         lines = [
             f"{self.case}: {how} (tol {self.tol:g})",
             f"  error      {self.expected_error:.1e} rad at most {where}, {over}; limited by "
             + self.limited_by,
-            f"  time       {_in_words(self.expected_seconds)}",
+            f"  time       {f'{time:.3g} s' if time >= 0.1 else f'{time * 1e3:.3g} ms'}",
         ]
         if self.runner_up is not None and self.margin is not None:
             up = self.runner_up
@@ -110,8 +111,3 @@ class Recommendation:
             f"  reference  {self.reference}, with an error of {self.reference_error:.1e} rad"
         )
         return "\n".join(lines)
-
-
-def _in_words(seconds: float) -> str:
-    """A time in s or ms, as text."""
-    return f"{seconds:.3g} s" if seconds >= 0.1 else f"{seconds * 1e3:.3g} ms"

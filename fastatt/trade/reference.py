@@ -18,12 +18,12 @@ from fastatt._cached import cached_property
 from fastatt.arrays import angle_between, quat_multiply
 from fastatt.closed_form import form_of
 from fastatt.methods import METHODS
-from fastatt.propagation.breakpoints import breaks_of, corners_within
+from fastatt.propagation.breakpoints import breaks_within
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.scene import rates
-from fastatt.trade.forcing import BREAKPOINTS, forcing
+from fastatt.trade.forcing import BREAKPOINTS, SAMPLES, forcing
 from fastatt.trade.ladder import SATURATED, Ladder
-from fastatt.trade.measure import Case, Problem, State
+from fastatt.trade.measure import Case, Problem, State, last_state
 
 # methods of high order with other formulas than those of the reference
 _CONFIRMING = ("dmv10", "rk9", "kahan_li8", "magnus8", "gauss12", "rk4")
@@ -42,7 +42,7 @@ _INSTANTS = 16  # times at which a prescribed rate is evaluated
 class Reference:
     """What errors are measured against: a run of a case, or a ``motion`` in closed form.
 
-    ``own_error`` (N,) is its own error, rad, and ``source`` its name. ``jump`` says what jumps,
+    ``error`` (N,) is its error, rad, and ``source`` its name. ``jump`` says what jumps,
     where, and what is accepted, and ``doubt`` why its error does not fall as it should; both are ""
     if all is well.
     """
@@ -51,7 +51,7 @@ class Reference:
     case: Case
     n_steps: int
     source: str
-    own_error: NDArray[np.float64]
+    error: NDArray[np.float64]
     jump: str = ""
     doubt: str = ""
     motion: Callable[[Problem, NDArray[np.float64]], NDArray[Any]] | None = None
@@ -64,8 +64,8 @@ class Reference:
     def end(self) -> State:
         """Attitudes and, for bodies, angular velocities at the end."""
         if self.motion is not None:
-            return State(self.motion(self.problem, np.array([self.problem.t_end]))[-1])
-        return self.problem.end(self.case, self.n_steps)
+            return State(self.motion(self.problem, np.array([self.problem.duration]))[-1])
+        return last_state(self.problem.run(self.case, self.n_steps))
 
     def at(self, times: NDArray[np.float64]) -> NDArray[Any]:
         """Attitudes (S, N, 4) at times (S,), s from the start."""
@@ -83,28 +83,28 @@ class Reference:
         """The reference of other bodies, with the same steps."""
         if self.case.record.is_exact or self.motion is not None:
             return reference(other)
-        own = np.full(other.ensemble.size, self.own_error.max())
-        return replace(self, problem=other, own_error=own)
+        errors = np.full(other.ensemble.size, self.error.max())
+        return replace(self, problem=other, error=errors)
 
     @property
     def unresolved(self) -> NDArray[np.float64]:
         """Errors, (N,) rad, below which it cannot tell a method's error; 0 if only rounding is."""
-        return np.where(self.is_rounding, 0.0, self.own_error)
+        return np.where(self.is_rounding, 0.0, self.error)
 
-    def refuse_jumps(self) -> None:
-        """Raise ``ValueError`` if a rate, torque or force jumps, since errors are unknown then."""
+    def refuse(self, tol: float) -> None:
+        """Raise ``ValueError`` if the scene jumps, or if errors of ``tol`` rad are not far above.
+
+        The errors of a scene with a rate, torque or force that jumps are unknown.
+        """
         if self.jump:
             raise ValueError(f"scene: {self.jump}")
-
-    def refuse_beyond(self, tol: float) -> None:
-        """Raise ``ValueError`` for a tolerance, rad, that the reference is not well below."""
-        own = float(self.own_error.max())
-        if own > 0.25 * tol:
+        largest = float(self.error.max())
+        if largest > 0.25 * tol:
             why = "that is rounding" if self.is_rounding else "it needs more steps than it takes"
             why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else why
             raise ValueError(
-                f"tol: found {tol:g}; accepted: at least {4.0 * own:.1e}: {self.source}, the "
-                f"reference, has an error of {own:.1e} rad for some body: {why}"
+                f"tol: found {tol:g}; accepted: at least {4.0 * largest:.1e}: {self.source}, the "
+                f"reference, has an error of {largest:.1e} rad for some body: {why}"
             )
 
 
@@ -126,9 +126,9 @@ class Confirmation:
 def speeds(problem: Problem) -> NDArray[np.float64]:
     """The largest ``|w|`` of each body, rad/s: initial, or of prescribed rates at some times."""
     e = problem.ensemble
-    given = e.scene.rate.w if isinstance(e.scene.rate, rates.Constant) else e.w0
-    if given is not None:
-        w = np.atleast_2d(np.asarray(given, dtype=np.float64))
+    w = e.scene.rate.w if isinstance(e.scene.rate, rates.Constant) else e.w0
+    if w is not None:
+        w = np.atleast_2d(np.asarray(w, dtype=np.float64))
         return np.broadcast_to(np.linalg.norm(w, axis=-1), (e.size,))
     fitting = methods_for(e.scene)
     run = problem.run(Case("magnus4" if "magnus4" in fitting else fitting[0]), _INSTANTS, 1)
@@ -137,38 +137,43 @@ def speeds(problem: Problem) -> NDArray[np.float64]:
 
 def largest_rotation(problem: Problem) -> float:
     """The rotation angle, rad, of the fastest body over the run, as far as ``speeds`` knows."""
-    return float(speeds(problem).max()) * abs(problem.t_end)
+    return float(speeds(problem).max()) * abs(problem.duration)
 
 
 def reference(
-    problem: Problem, *, most: int = 1, goal: float = 0.0, method: str | None = None
+    problem: Problem,
+    *,
+    most: int = 1,
+    goal: float = 0.0,
+    method: str | None = None,
+    samples: int = SAMPLES,
 ) -> Reference:
     """The closed form, or a run of high order that is accurate to ``goal`` rad or round-off.
 
     A run is compared with that of half as many steps at up to ``most`` equally spaced times, the
-    last of which is the end.
+    last of which is the end. ``samples`` are those of rates, torques and forces.
     """
     if method is None:
-        found = _closed_form(problem)
-        if found is not None:
-            return found
+        closed = _closed_form(problem)
+        if closed is not None:
+            return closed
         fitting = [METHODS[name] for name in methods_for(problem.ensemble.scene, "quat")]
         short = [m for m in fitting if m.is_stepped and m.rate_calls <= _EVALUATIONS]
         # the first of the highest order
         method = max(short, key=lambda m: m.order).name
-    return _tight(problem, method, most, goal)
+    return _tight(problem, method, most, goal, samples)
 
 
 def _closed_form(problem: Problem) -> Reference | None:
-    scene, angle = problem.ensemble.scene, speeds(problem) * abs(problem.t_end)
+    scene, angle = problem.ensemble.scene, speeds(problem) * abs(problem.duration)
     if problem.ensemble.w0 is not None and "exact" in methods_for(scene):
-        gained = np.hypot(angle, form_of(scene).gain * abs(problem.t_end))
-        own = 2.0 * _EPS * (1.0 + gained)
-        return Reference(problem, Case("exact"), 1, "the closed form", own)
+        gained = np.hypot(angle, form_of(scene).gain * abs(problem.duration))
+        error = 2.0 * _EPS * (1.0 + gained)
+        return Reference(problem, Case("exact"), 1, "the closed form", error)
     if isinstance(scene.rate, rates.Coning) and scene.frame == "body":
-        own = 2.0 * _EPS * (1.0 + angle)
+        error = 2.0 * _EPS * (1.0 + angle)
         name = "the exact coning motion"
-        return Reference(problem, Case("magnus4"), 1, name, own, motion=_coning)
+        return Reference(problem, Case("magnus4"), 1, name, error, motion=_coning)
     return None
 
 
@@ -192,8 +197,8 @@ def coning_attitudes(
 
 def intervals(problem: Problem) -> int:
     """The number of equal intervals between the times at which steps end; 1 for unequal ones."""
-    scene, begin, end = problem.ensemble.scene, problem.t0, problem.t_end
-    breaks = breaks_of(corners_within(scene, begin, end), begin, end, scene.sampling)
+    scene, begin, end = problem.ensemble.scene, problem.t0, problem.duration
+    breaks = breaks_within(scene, begin, end)
     gaps = np.diff(breaks.since, append=end)
     return gaps.size if gaps.size < _WORK and np.ptp(gaps) < 1e-9 * abs(end) else 1
 
@@ -204,10 +209,10 @@ def fewest_steps(problem: Problem) -> int:
     Longer steps would end at the samples all the same, but errors are measured after steps.
     """
     sampling = problem.ensemble.scene.sampling
-    return 1 if sampling is None else math.ceil(abs(problem.t_end) / sampling.period)
+    return 1 if sampling is None else math.ceil(abs(problem.duration) / sampling.period)
 
 
-def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
+def _tight(problem: Problem, method: str, most: int, goal: float, samples: int) -> Reference:
     """Halve the step until errors fall by the method's order, to the goal or to rounding."""
     case, unit = Case(method), intervals(problem)
     least = max(_LEAST, fewest_steps(problem))
@@ -216,7 +221,7 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
         return math.ceil(max(n, least) / unit) * unit
 
     first = whole(largest_rotation(problem))
-    acting = forcing(problem, case, first)
+    acting = forcing(problem, case, first, samples)
     longest = _WORK / max(problem.ensemble.size, 64)
     # the first step size resolves rates, torques and forces
     first = whole(min(max(first, acting.steps), max(first, longest / 16)))
@@ -225,25 +230,27 @@ def _tight(problem: Problem, method: str, most: int, goal: float) -> Reference:
     ladder.halve()
     while True:
         ladder.halve()
-        own, settled, doubt = _own_error(ladder, METHODS[method].order, goal)
+        error, settled, doubt = _error_of(ladder, METHODS[method].order, goal)
         # advice, which has a goal, refuses jumps
         if settled or 2.0 * ladder.n_steps > longest or (acting.jump and goal > 0.0):
             break
     if not settled and not doubt:
-        own = _sharper(ladder, own)
-    name = f"{method} at {problem.t_end / ladder.n_steps:.4g} s"
+        error = _sharper(ladder, error)
+    name = f"{method} at {problem.duration / ladder.n_steps:.4g} s"
     is_rounding = ladder.worst() <= ladder.floor or _is_magnified_rounding(ladder)
     return Reference(
-        problem, case, ladder.n_steps, name, own + _EPS, acting.jump, doubt, is_rounding=is_rounding
-    )
+        problem, case, ladder.n_steps, name, error + _EPS, acting.jump, doubt,
+        is_rounding=is_rounding,
+    )  # fmt: skip
 
 
-def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
+def _error_of(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.float64], bool, str]:
     """The error of the finest run, (N,) rad, whether that is small enough, and a doubt of it.
 
     It is the last change if two changes fell as the order predicts, or one did down to rounding, or
     two are rounding. Otherwise it is a multiple of the last three changes, since one may be small
-    by chance; the earlier ones are divided by 4 and by 16, as they fall at least at corners.
+    by chance; the earlier ones are divided by 4 and by 16, as they fall at least at corners, but
+    not those by rounding that the motion magnifies, which do not fall.
     """
     changes, worst = ladder.changes, ladder.worst()
     slopes = [ladder.slope(back) for back in (1, 2)[: len(changes) - 1]]
@@ -254,26 +261,28 @@ def _own_error(ladder: Ladder, order: int, goal: float) -> tuple[NDArray[np.floa
         return changes[-1], True, ""
     if fell and slopes[0] >= _FITS * order:
         return changes[-1], worst <= goal, ""
-    shares = [change / 4.0**k for k, change in enumerate(changes[:-4:-1])]
-    own = _DOUBTED * np.max(shares, axis=0)
-    enough = len(changes) > 2 and (_is_magnified_rounding(ladder) or float(own.max()) <= goal)
+    is_rounding = _is_magnified_rounding(ladder)
+    fall = 1.0 if is_rounding else 4.0
+    last = [change / fall**k for k, change in enumerate(changes[:-4:-1])]
+    error = _DOUBTED * np.max(last, axis=0)
+    enough = len(changes) > 2 and (is_rounding or float(error.max()) <= goal)
     doubt = (
         f"halving its step size divides its error by {2.0 ** slopes[0]:.3g}, where order {order} "
         f"predicts {2**order}, so that its error is uncertain: a torque or rate has corners, the "
         "motion magnifies rounding, or the run needs more steps than a reference takes. Remedies "
-        "are a larger tol, a shorter t_end, or"
+        "are a larger tol, an earlier t_end, or"
     )
-    return own, enough, doubt
+    return error, enough, doubt
 
 
-def _sharper(ladder: Ladder, own: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The error of a finest run whose last change fell as its order predicts, (N,) rad.
+def _sharper(ladder: Ladder, change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The error of a finest run whose last ``change`` fell as its order predicts, (N,) rad.
 
     A run with a few steps less has an error of the same size, while the last change is that of half
     as many steps. If it differs by more than that change, the error is larger.
     """
     apart = ladder.apart()
-    return np.where(apart <= own, np.minimum(own, 2.0 * apart), _DOUBTED * apart)
+    return np.where(apart <= change, np.minimum(change, 2.0 * apart), _DOUBTED * apart)
 
 
 def _is_magnified_rounding(ladder: Ladder) -> bool:

@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import perf_counter
 
 from fastatt import checks
 from fastatt.files import writing
+from fastatt.gyro.integrate import methods_for_samples
 from fastatt.threads import default_threads, progress_bar
-from fastatt.trade import ensembles, summary
+from fastatt.trade import ensembles, long_run, measure, summary
+from fastatt.trade.advice import USUAL
 from fastatt.trade.ensembles import SCENES, Study
-from fastatt.trade.long_run import Drifted, long_run, panels
-from fastatt.trade.measure import (
-    Case,
-    Row,
-    machine_line,
-    panel,
-    processor_line,
-    trade_table,
-    write_csv,
-)
+from fastatt.trade.long_run import Drifted
+from fastatt.trade.measure import Case, Row, machine_line, processor_line, to_csv, trade_table
 
 # s for all that is measured, steps of long runs, their bodies, rungs of a ladder for each doubling
 _WHOLE = (100.0, 2**18, 32, 2)
 _QUICK = (12.0, 2**17, 8, 1)
-_USUAL = (
-    "rk4", "magnus4", "magnus6", "magnus8", "gauss12", "cf4", "strang2", "rk8", "gbs16", "dmv10",
-    "kahan_li8", "exact", "hold", "trapezoid", "previous", "coning2", "picard",
-)  # fmt: skip
 
 
 def run_trade(
@@ -53,8 +43,7 @@ def run_trade(
     """
     checks.whole("--bodies", n_bodies, 1)
     plan = _plan(scenes, methods, quick)
-    if find_spec("matplotlib") is None:
-        raise ImportError("trade: needs matplotlib; install it with pip install 'fastatt[plot]'")
+    checks.optional("trade", "matplotlib", "fastatt[plot]")
     out.mkdir(parents=True, exist_ok=True)
     with TemporaryFile(dir=out):  # a folder that can't be written to is refused before the runs
         pass
@@ -72,15 +61,15 @@ def run_trade(
             small = ensembles.problem(name, few)
             for case in cases:
                 share = max(0.1, 0.7 * (until - perf_counter()) / left)
-                rows += study.rows(case, study.steps(case, per_doubling), 1, share)
+                rows += study.rows(case, study.steps(case, per_doubling), share)
                 if case.record.window is None:
-                    long += long_run(name, small, case, n_steps)
+                    long += long_run.long_run(name, small, case, n_steps)
                 left -= 1
                 done(1)
             _draw(out, study, rows, long)
     where = f"{n_bodies} bodies, {machine_line()}"
-    write_csv(out / "trade.csv", rows)
-    write_csv(out / "drift.csv", long)
+    to_csv(out / "trade.csv", rows)
+    to_csv(out / "drift.csv", long)
     with writing("--out", out / "summary.md", text="utf-8") as file:
         file.write(summary.page(where, headings, rows, long))
     print(where)
@@ -102,7 +91,8 @@ def _plan(
     fitting = dict.fromkeys(case.name for cases in every.values() for case in cases)
     for method in methods or ():
         checks.choice("--methods", method, fitting)
-    wanted = methods or (_USUAL if quick else fitting)
+    usual = {*chain.from_iterable(USUAL.values()), *methods_for_samples()}
+    wanted = methods or (usual if quick else fitting)
     plan = {name: [c for c in cases if c.name in wanted] for name, cases in every.items()}
     return {name: cases for name, cases in plan.items() if cases}
 
@@ -111,16 +101,11 @@ def _draw(out: Path, study: Study, rows: Sequence[Row], long: Sequence[Drifted])
     """The pictures of one ensemble."""
     from fastatt.plots import study as pictures
 
-    own = [row for row in rows if row.input == study.name]
+    measured = [row for row in rows if row.input == study.name]
     drifts = [each for each in long if each.input == study.name]
-    n, t_end = study.problem.ensemble.size, study.problem.t_end
-    names = list(dict.fromkeys(row.representation for row in own))
-    drawn = [
-        panel(pictures.NAMES[name], t_end, [r for r in own if r.representation == name])
-        for name in names
-    ]
+    n, duration = study.problem.ensemble.size, study.problem.duration
     heading = f"{n} {study.title}: error against time\n{processor_line(default_threads())}"
-    pictures.work_precision(drawn, heading, out / f"error-{study.name}.png")
+    pictures.draw(measure.panels(measured, duration), heading, out / f"error-{study.name}.png")
     if drifts:
         heading = f"{study.title}: drift against time"
-        pictures.drift(panels(drifts, names), heading, out / f"drift-{study.name}.png")
+        pictures.draw(long_run.panels(drifts), heading, out / f"drift-{study.name}.png")

@@ -4,24 +4,27 @@
   without compilation; errors and drifts do not depend on the machine.
 - `error` is the largest angle, rad, between the attitude of any body at the end and the reference,
   which is a closed form or a run of a method of high order whose error is far smaller.
-- `method` is the fastest of those whose `error` is at most the target; a ladder of its own, from
-  the coarsest step size that its limit allows down to rounding, is measured for each. Rows with a
-  status flag are left out. A closed form takes no steps and stands apart: `exact`.
+- `method` is the fastest of those whose `error` is at most the target. Each is measured with
+  smaller and smaller step sizes, from the coarsest that its limit allows down to rounding. Rows
+  with a status flag are left out. A closed form takes no steps and has its own row: `exact`.
 - `step` is the step size, s, and `µs` the time for one body over the whole duration, microseconds.
+  A dash is the step of a closed form, a drift of zero or of nothing that the motion conserves, or
+  an error that no method reaches.
 - `drift` is the largest of the norm error (of a matrix: the orthogonality error ‖C Cᵀ − 1‖) and the
   relative changes of energy and angular momentum, of any body, where the motion conserves them.
 - Times within 10 % of each other are ties.
 - An error that rounding limits counts as better than another only if it is 4 times smaller.
-- Long runs have one step size for all methods, in which the fastest body rotates by 0.2 rad; their
-  drift is the root mean square over the bodies. A drift is bounded if it grows as a power of time
-  below 0.25 over the last decade and a half, a random walk below 0.75, and linear below 1.5.
+- In long runs all methods have one step size, in which the fastest body rotates by 0.2 rad. The
+  drift is the root mean square over the bodies, and a mark tells how its largest value so far grows
+  from a thirtieth of the run to the end, as the power t^p of time: bounded (=) if p < 0.25, as a
+  random walk (~) if p < 0.75, linearly (/) if p < 1.5, and faster (^) otherwise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 from operator import attrgetter
+from textwrap import wrap
 
 from fastatt.trade.long_run import Drifted, ends
 from fastatt.trade.measure import Column, Row, frontier, trade_table
@@ -65,10 +68,11 @@ def closed_form(rows: Iterable[Row]) -> Row | None:
 def by_scene(rows: Sequence[Row]) -> dict[str, dict[str, list[Row]]]:
     """Rows by ensemble and representation."""
     return {
-        scene: {name: [r for r in own if r.representation == name] for name in _STORED}
-        for scene, own in (
-            (scene, list(group)) for scene, group in groupby(rows, attrgetter("input"))
-        )
+        scene: {
+            name: [r for r in rows if (r.input, r.representation) == (scene, name)]
+            for name in _STORED
+        }
+        for scene in dict.fromkeys(row.input for row in rows)
     }
 
 
@@ -77,13 +81,14 @@ def screen(rows: Sequence[Row], long: Sequence[Drifted]) -> str:
     half = f"{'method':<12} {'step, s':>8} {'µs':>8} {'drift':>7}"
     lines = [f"{'':<16} {'quaternion':<41} DCM", f"{'scene':<8} {'error':>7}  {half}     {half}"]
     for scene, stored in by_scene(rows).items():
-        if any(closed_form(own) for own in stored.values()):
-            cells = [_cell(closed_form(own), stored) for own in stored.values()]
+        exact = [closed_form(group) for group in stored.values()]
+        if any(exact):
+            cells = [_cell(row, stored) for row in exact]
             lines.append(f"{scene:<8} {'any':>7}  {'     '.join(cells)}".rstrip())
         for target in TARGETS:
-            found = [fastest(own, target)[:1] for own in stored.values()]
-            if any(found):
-                cells = [_cell(best[0] if best else None, stored) for best in found]
+            best = [next(iter(fastest(group, target)), None) for group in stored.values()]
+            if any(best):
+                cells = [_cell(row, stored) for row in best]
                 lines.append(f"{scene:<8} {target:>7.0e}  {'     '.join(cells)}".rstrip())
     return "\n".join([*lines, *_drifts(long)])
 
@@ -99,25 +104,21 @@ def _cell(row: Row | None, stored: dict[str, list[Row]]) -> str:
 def _drifts(long: Sequence[Drifted]) -> list[str]:
     lines: list[str] = []
     for scene, quantity in _SHOWN:
-        own = [
-            x
-            for x in ends(long)
-            if (x.input, x.quantity, x.representation) == (scene, quantity, "quat")
-        ]
-        if not own:
+        shown = scene, quantity, "quat"
+        last = [x for x in ends(long) if (x.input, x.quantity, x.representation) == shown]
+        if not last:
             continue
         if not lines:
             laws = ", ".join(f"{letter} {law}" for law, letter in _LETTERS.items())
-            lines.append(f"Drift after {own[0].n_steps} steps, quaternions ({laws}):")
-        text = f"{scene} {quantity}:"
-        for x in sorted(own, key=lambda x: x.drift):
-            word = f" {x.method} {x.drift:.0e}{_LETTERS[x.growth]}"
-            if len(text) + len(word) > _WIDTH:
-                lines.append(text)
-                text = "   "
-            text += word
-        lines.append(text)
-    return lines
+            lines.append(f"Drift after {last[0].n_steps} steps, quaternions ({laws}):")
+        # a method and its drift stay on one line
+        words = [
+            f"{x.method}\N{NO-BREAK SPACE}{x.drift:.0e}{_LETTERS[x.growth]}"
+            for x in sorted(last, key=lambda x: x.drift)
+        ]
+        text = f"{scene}\N{NO-BREAK SPACE}{quantity}: {' '.join(words)}"
+        lines += wrap(text, _WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def page(title: str, headings: dict[str, str], rows: Sequence[Row], long: Sequence[Drifted]) -> str:
@@ -125,7 +126,7 @@ def page(title: str, headings: dict[str, str], rows: Sequence[Row], long: Sequen
     text = f"# Speed, error and drift of each method\n\n{title}\n\n## How to read the results\n\n"
     text += f"{COLUMNS}\n\n```text\n{screen(rows, long)}\n```\n"
     for scene, stored in by_scene(rows).items():
-        best = [row for own in stored.values() for row in frontier(own)]
+        best = [row for group in stored.values() for row in frontier(group)]
         text += f"\n## {scene}\n\n{headings[scene]}. The fastest way to each error:\n"
         text += f"\n```text\n{trade_table(best, BRIEF)}\n```\n"
     ranked = sorted(ends(long), key=lambda x: (x.input, x.quantity, x.representation, x.drift))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.attitudes import ATTITUDES
-from fastatt.files import target
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
+from fastatt.propagation.options import after
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads, progress_bar
 from fastatt.trade.measure import (
@@ -26,11 +26,11 @@ from fastatt.trade.measure import (
     frontier,
     machine_line,
     measure,
-    panel,
+    panels,
     processor_line,
+    to_csv,
     trade_table,
     with_orders,
-    write_csv,
 )
 from fastatt.trade.reference import (
     Confirmation,
@@ -62,8 +62,8 @@ class WorkPrecision:
     rows : list of Row
         One row for each case and step size: method, representation, dtype, dt, errors (rad),
         seconds for each body, drift, observed order, status.
-    t_end : float
-        Duration, s.
+    duration : float
+        Duration of the motion, s.
     n_bodies : int
         Number of bodies.
     sampled : int
@@ -77,7 +77,7 @@ class WorkPrecision:
     """
 
     rows: list[Row]
-    t_end: float
+    duration: float
     n_bodies: int
     sampled: int
     reference: str
@@ -109,7 +109,7 @@ class WorkPrecision:
         shown = [*([exact] if exact else []), *(row for ranked in best for row in ranked)]
         return (
             f"{machine_line()}\n"
-            f"{self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s; reference: "
+            f"{self.sampled} of {self.n_bodies} bodies over {self.duration:g} s; reference: "
             f"{self.reference}, with an error of {self.reference_error:.1e} rad; "
             f"{self.confirmation}\n"
             f"{len(self.rows)} rows (table() has all); the fastest at "
@@ -128,18 +128,9 @@ class WorkPrecision:
         from fastatt.plots import study
 
         kind = self.rows[0].input
-        title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.t_end:g} s"
-        names = dict.fromkeys(row.representation for row in self.rows)
-        panels = [
-            panel(
-                study.NAMES.get(name, name),
-                self.t_end,
-                [r for r in self.rows if r.representation == name],
-            )
-            for name in names
-        ]
+        title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.duration:g} s"
         heading = f"{title}\n{processor_line(self.n_threads)}"
-        study.work_precision(panels, heading, target("path", path))
+        study.draw(panels(self.rows, self.duration), heading, path)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the rows as CSV with a line of names.
@@ -149,7 +140,7 @@ class WorkPrecision:
         path : str or Path
             The file.
         """
-        write_csv(path, self.rows)
+        to_csv(path, self.rows)
 
 
 def work_precision(
@@ -183,7 +174,7 @@ def work_precision(
     w0 : array_like of shape (3,) or (N, 3), optional
         Initial angular velocities along body axes, rad/s.
     t_end : float
-        Duration, s, above 0.
+        Time of the end, s, after ``t0``.
     v0 : array_like of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
     r0 : array_like of shape (3,) or (N, 3), optional
@@ -232,11 +223,11 @@ def work_precision(
     --------
     >>> import fastatt as fa
     >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
-    >>> found = fa.work_precision(
+    >>> measured = fa.work_precision(
     ...     scene, (1, 0, 0, 0), (0.1, 0.2, 0.3), t_end=5.0, methods=["rk4"], dtypes=("float64",),
     ...     repeats=1,
     ... )
-    >>> {row.method for row in found.rows}
+    >>> {row.method for row in measured.rows}
     {'rk4'}
     """
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
@@ -248,16 +239,16 @@ def work_precision(
     known = reference(problem)
     check = confirm(problem, known)
     checks.real("max_seconds", max_seconds)
-    found: list[Row] = []
+    measured: list[Row] = []
     with progress_bar(progress, len(cases), "case") as done:
         for case in cases:
-            found += case_rows(
+            measured += case_rows(
                 scene.kind, problem, known, check, case, repeats, seconds=max_seconds / len(cases)
             )
             done(1)
     return WorkPrecision(
-        rows=found, t_end=problem.t_end, n_bodies=ensemble.size, sampled=rows.size,
-        reference=known.source, reference_error=float(np.max(known.own_error)),
+        rows=measured, duration=problem.duration, n_bodies=ensemble.size, sampled=rows.size,
+        reference=known.source, reference_error=float(np.max(known.error)),
         confirmation=str(check), n_threads=n_threads or default_threads(),
     )  # fmt: skip
 
@@ -290,54 +281,50 @@ def cases_of(
     for dtype in dtypes:
         checks.choice("dtypes", dtype, DTYPES)
     wanted = [Case(method).record for method in tried]
-    names = [record.name for record in wanted], list(representations)
-    for argument, used in zip(("methods", "representations"), names, strict=True):
+    names = {"methods": [m.name for m in wanted], "representations": list(representations)}
+    for argument, used in names.items():
         for name, times in Counter(used).items():
             if times > 1:
                 raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
-    found = [
+    cases = [
         Case(name_of(method), representation, dtype)
         for method in wanted
         for representation in representations
         for dtype in dtypes
         if fits(method, scene, representation)
     ]
-    if not found:
+    if not cases:
         raise ValueError(
-            f"methods, representations, dtypes: found {names[0]}, {names[1]}, {list(dtypes)}, of "
-            f"which nothing fits; accepted: {', '.join(fitting)}"
+            f"methods, representations, dtypes: found {', '.join(map(str, names.values()))}, "
+            f"{list(dtypes)}, of which nothing fits; accepted: {', '.join(fitting)}"
         )
-    return found
+    return cases
 
 
 def name_of(record: Method) -> str | Method:
-    """The name of a method of the library, or a custom method itself."""
+    """The name of a method of the library, or a user-defined method itself."""
     return record.name if METHODS.get(record.name) is record else record
 
 
 def problem_over(
     ensemble: Ensemble, t_end: float, t0: float, n_threads: int | None = None
 ) -> Problem:
-    """A problem over a duration, s, in which rounding leaves an attitude."""
-    whole = Problem(ensemble, duration(t_end), checks.real("t0", t0), n_threads)
+    """A problem from t0 to t_end, s, between which rounding leaves an attitude."""
+    start = checks.real("t0", t0)
+    duration = after(t_end, start) - start
+    if duration < _SHORTEST:
+        raise ValueError(f"t_end: found {t_end}; accepted: at least {_SHORTEST:g} s after t0")
+    whole = Problem(ensemble, duration, start, n_threads)
     known = ensemble.w0 is not None
     few = whole if known else whole.take(np.arange(min(ensemble.size, _EVALUATED)))
     angle = largest_rotation(few)
     if angle > _FARTHEST:
-        most = whole.t_end * (_FARTHEST / angle)
+        most = whole.duration * (_FARTHEST / angle)
         raise ValueError(
-            f"t_end: found {t_end:g}; accepted: at most {most:.1e} s, in which the fastest body "
-            f"rotates by {_FARTHEST:g} rad; rounding grows with the rotation"
+            f"t_end: found {t_end:g}; accepted: at most {most:.1e} s after t0, in which the "
+            f"fastest body rotates by {_FARTHEST:g} rad; rounding grows with the rotation"
         )
     return whole
-
-
-def duration(t_end: float) -> float:
-    """A finite duration above 0, s."""
-    found = checks.above_zero("t_end", t_end, "a duration above 0, s")
-    if found < _SHORTEST:
-        raise ValueError(f"t_end: found {found}; accepted: a duration of at least {_SHORTEST:g} s")
-    return found
 
 
 def spread(problem: Problem, size: int, generator: np.random.Generator) -> NDArray[np.intp]:
@@ -371,15 +358,31 @@ def case_rows(
     if case.record.is_exact:
         end, steps = check.end, (1,)
     first = fewest(problem, case)
-    order = case.record.order_of(problem.ensemble.scene.kind)
+    return ladder_rows(
+        lambda n: measure(problem, end, case, n, repeats, name),
+        steps or [first * 2**k for k in range(_RUNGS)],
+        case,
+        case.record.order_of(problem.ensemble.scene.kind),
+        float(np.median(known.unresolved)),
+        seconds / ((repeats + 2) * problem.ensemble.size),
+    )
+
+
+def ladder_rows(
+    row_of_steps: Callable[[int], Row],
+    steps: Iterable[int],
+    case: Case,
+    order: int,
+    unresolved: float,
+    most: float,
+) -> list[Row]:
+    """Rows of falling steps, until rounding dominates or runs of a body took ``most`` seconds."""
     rows: list[Row] = []
-    used, unresolved = 0.0, float(np.median(known.unresolved))
-    for n in steps or [first * 2**k for k in range(_RUNGS)]:
-        rows = [*rows, measure(problem, end, case, n, repeats, name)]
-        rows = with_orders(rows, case, order, unresolved)
-        used += (repeats + 2) * rows[-1].seconds_per_body * problem.ensemble.size
+    for n in steps:
+        rows = with_orders([*rows, row_of_steps(n)], case, order, unresolved)
         # the next run takes as long as all before it
-        if seconds < math.inf and ((len(rows) > 2 and rows[-2].plateau) or used > 0.5 * seconds):
+        used = 2.0 * sum(row.seconds_per_body for row in rows)
+        if most < math.inf and ((len(rows) > 2 and rows[-2].plateau) or used > most):
             break
     return rows
 

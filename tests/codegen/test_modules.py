@@ -74,11 +74,15 @@ def cache(tmp_path, monkeypatch):
 # files
 
 
-@pytest.mark.parametrize("edited", ["codegen/emitter.py", "codegen/lanes.py", "tracing/nodes.py"])
+EDITED = ("codegen/emitter.py", "codegen/lanes.py", "tracing/nodes.py", "_numba.py")
+
+
+@pytest.mark.parametrize("edited", EDITED)
 def test_what_other_sources_emitted_is_not_taken(cache, monkeypatch, tmp_path, edited):
     """Those that write machine code, and those that say what operations there are."""
     for folder in ("codegen", "tracing"):
         shutil.copytree(ROOT / "fastatt" / folder, tmp_path / folder)
+    shutil.copy(ROOT / "fastatt" / "_numba.py", tmp_path)
     monkeypatch.setattr(store, "__file__", str(tmp_path / "codegen" / "modules.py"))
     for _ in range(2):
         store.surroundings.cache_clear()
@@ -397,7 +401,7 @@ def test_an_edited_source_is_never_served_stale(tmp_path):
     """
     shutil.copytree(ROOT / "fastatt", tmp_path / "copy" / "fastatt")
     edits = {
-        "methods/magnus4.py": ("0.14433756729740643", "0.15"),
+        "methods/magnus.py": ("0.14433756729740643", "0.15"),
         "kernels/quat.py": ("F(0.5) * w[1]", "F(0.4) * w[1]"),
         "kernels/vec3.py": ("a[0] + b[0]", "a[0] - b[0]"),
     }

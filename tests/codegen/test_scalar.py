@@ -21,7 +21,6 @@ from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import axpy, quat, rigid, scale, so3
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import TraceError
-from fastatt.tracing.traced import Traced
 
 SINGLE = np.float32
 P = (0.25, 0.5, 0.75, -0.5, 0.75, -0.4)
@@ -133,23 +132,6 @@ def leaves(ty):
     return {ty}
 
 
-def test_precisions_meet_in_the_wider_one():
-    def formula(x, t):
-        return x * t, x, 2.0
-
-    made = scalar_function(formula)
-
-    @njit
-    def user(x, t):
-        return made(x, t)
-
-    found = user(SINGLE(0.1), 3.0)
-    assert found == made(SINGLE(0.1), 3.0)
-    assert [type(x) for x in made(SINGLE(0.1), 3.0)] == [float, SINGLE, float]
-    (signature,) = user.nopython_signatures
-    assert signature.return_type.types == (types.float64, types.float32, types.float64)
-
-
 @pytest.mark.parametrize("kind", [float, SINGLE])
 def test_an_array_in_place_of_a_tuple(kind):
     made = scalar_function(lambda x, p: (x * p[0], p[2] - p[1]), arrays={"p": 3})
@@ -169,35 +151,6 @@ def test_an_array_in_place_of_a_tuple(kind):
         user(kind(2.0), np.ones((3, 3)))
     with pytest.raises(TypingError, match=r"found array\(int64, 1d, C\) among the arguments"):
         user(kind(2.0), np.arange(3))
-
-
-def test_short_form_or_the_form_for_any_angle():
-    """Two formulas, and a branch between them at run time."""
-    asked = []
-
-    def near(u):
-        asked.append("near")
-        return quat.exp_short(u), sum(x * x for x in u)
-
-    def far(u):
-        asked.append("far")
-        return quat.exp(u)
-
-    short, wide = scalar_function(near), scalar_function(far)
-
-    @njit
-    def turn(u):
-        q, z = short(u)
-        if z > math.pi**2:
-            q = wide(u)
-        return q
-
-    assert asked == []
-    for u in ((0.1, 0.2, 0.3), (3.0, 3.0, -3.0)):
-        assert np.abs(np.subtract(turn(u), kernels.exp(u))).max() <= 2 * EPS
-    assert asked == ["near", "far"]
-    body = main_function(turn)
-    assert re.search(r"\bbr i1 ", body)
 
 
 def main_function(dispatcher):
@@ -403,12 +356,3 @@ def test_what_is_no_straight_line_is_refused():
             called(1.0)
     with pytest.raises(TraceError, match="a result of str"):
         scalar_function(lambda x: "x")(1.0)
-
-
-def test_forms_are_traced_once():
-    made = scalar_function(quat.normalise)
-    made((1.0, 2.0, 3.0, 4.0))
-    ((key, traced),) = made._traced.items()
-    made((4.0, 2.0, 3.0, 4.0))
-    assert made._traced == {key: traced}
-    assert isinstance(traced, Traced)

@@ -191,8 +191,8 @@ def test_a_compensated_state_is_mended_from_16_ulps_on(kind):
     off = eps * np.array([1.0, -1.0, 8.0, -15.0, 17.0, -17.0, 100.0])
     x = np.zeros((off.size, 8), dtype="f8" if kind == "double" else "f4")
     x[:, 0], x[:, 4] = 1.0, off
-    mended, departure = rows(COMPENSATED.restore, {"x": 8}, (8, None), kind)(x)
-    assert_array_equal(departure, x[:, 4])
+    mended, removed = rows(COMPENSATED.restore, {"x": 8}, (8, None), kind)(x)
+    assert_array_equal(removed, np.where(np.abs(off) > 16.0 * eps, x[:, 4], 0.0))
     left = mended[:, :4].astype(np.longdouble) + mended[:, 4:] - x[:, :4]
     assert_array_equal(left[:, 0], np.where(np.abs(off) > 16.0 * eps, 0.0, off))
     assert not left[:, 1:].any()
@@ -205,7 +205,7 @@ def test_refusals():
         ValueError, match=r"compensated: found with method strang2; accepted with .*rk4"
     ):
         fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], method="strang2", compensated=True, **call)
-    with pytest.raises(ValueError, match='compensated: found with representation "dcm"'):
+    with pytest.raises(ValueError, match="compensated: found with representation; accepted"):
         fa.propagate(
             scene, [1, 0, 0, 0], [0, 0, 1], method="rk4", representation="dcm", compensated=True,
             **call,

@@ -9,21 +9,7 @@ import pytest
 from numba import carray, cfunc, njit, types
 
 from fastatt.engine.machine import PROGRAM, TIME, Tile, tile_machine
-from fastatt.engine.tape import (
-    CLOCK,
-    ENTER,
-    FORK,
-    JOIN,
-    LEAVE,
-    MIDDLE,
-    PROJECT,
-    RECORD,
-    RESTORE,
-    SAVE,
-    START,
-    STATUS,
-    STEPS,
-)
+from fastatt.engine.tape import RECORD, Action
 
 WIDTH, ROWS, KEPT, IO = 8, 9, 5, 5
 #: rows: two of the state, one that is put back too, the largest squared angle, the status
@@ -37,10 +23,10 @@ def formula(part, rows, wide, numbers, first, last, is_any):
     begin, dt, share, low, high = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     for j in range(WIDTH):
         x, y = rows[0, j], rows[1, j]
-        if part == START:
+        if part == Action.START:
             rows[0, j], rows[1, j] = rows[IO, j] + wide[0, j], rows[IO + 1, j] - rows[IO + 2, j]
             rows[2, j] = rows[3, j] = rows[4, j] = 0.0
-        elif part == STEPS:
+        elif part == Action.STEPS:
             for n in range(first, last):
                 t = begin + n * dt
                 turned = 2.0 * math.sin(x + t) ** 2 * (1.0 + wide[0, j]) ** 2
@@ -49,9 +35,9 @@ def formula(part, rows, wide, numbers, first, last, is_any):
                 rows[2, j] += 1.0
                 rows[3, j] = max(rows[3, j], turned)
                 x, y = rows[0, j], rows[1, j]
-        elif part == SAVE:
+        elif part == Action.SAVE:
             rows[IO, j], rows[IO + 1, j], rows[IO + 2, j] = x + first, y, rows[3, j] + rows[2, j]
-        elif part == STATUS:
+        elif part == Action.STATUS:
             rows[4, j] = 1.0 if rows[3, j] > 3.0 else 0.0
         else:
             rows[0, j] = 0.5 * x + 0.125 * part + 0.01 * first + dt
@@ -77,16 +63,18 @@ SMALL, ANY = compiled(False), compiled(True)
 
 def random_tape(rng, slots, forks):
     """Actions in any order that has a meaning: copies are put back before the next one."""
-    rows, is_copied, steps = [], False, 0
-    actions = [STEPS, STEPS, STEPS, SAVE, PROJECT, LEAVE, ENTER, CLOCK, MIDDLE, FORK, JOIN]
-    for action in [CLOCK, START, *rng.choice(actions, 40).tolist(), STATUS]:
-        if (action == FORK and (is_copied or not forks)) or (action == JOIN and not is_copied):
+    rows, is_copied = [], False
+    actions = [*Action, Action.STEPS, Action.STEPS]
+    for drop in (Action.START, Action.STATUS, Action.RESTORE):
+        actions.remove(drop)
+    for action in [Action.START, *rng.choice(actions, 40).tolist(), Action.STATUS]:
+        may_copy = forks and not is_copied
+        if (action == Action.FORK and not may_copy) or (action == Action.JOIN and not is_copied):
             continue
-        is_copied = action == FORK or (is_copied and action != JOIN)
+        is_copied = action == Action.FORK or (is_copied and action != Action.JOIN)
         first = int(rng.integers(0, 4))
         numbers = first, first + int(rng.integers(0, 3)), int(rng.integers(0, slots))
         rows.append((action, *numbers, *rng.uniform(0.1, 0.5, 4)))
-        steps += action == STEPS
     return np.array(rows, RECORD)
 
 
@@ -102,25 +90,24 @@ def interpreted(tape, bodies):
         rows, wide, numbers = np.zeros((ROWS, WIDTH)), np.zeros((1, WIDTH)), np.zeros(8)
         for s in tape:
             action = int(s["action"])
-            if action in (CLOCK, JOIN):
-                numbers[[0, 1, 3, 4]] = [s[name] for name in ("begin", "dt", "low", "high")]
-            if action == START:
+            numbers[[0, 1, 3, 4]] = [s[name] for name in ("begin", "dt", "low", "high")]
+            if action == Action.START:
                 rows[IO : IO + 2], rows[IO + 2] = q0[0, 0][:, None], y0[0, body]
                 wide[0] = params[0, body]
-            elif action == RESTORE:
+            elif action == Action.RESTORE:
                 rows[:KEPT] = states[0, body][:, None]
-            elif action == FORK:
+            elif action == Action.FORK:
                 copied = rows[:FORKED].copy()
-            elif action == JOIN:
+            elif action == Action.JOIN:
                 rows[:FORKED] = copied
-            if action >= CLOCK:
+            if action >= Action.FORK:
                 continue
             before = rows.copy()
             formula(action, rows, wide, numbers, s["first"], s["end"], False)
-            if action == STEPS and rows[ANGLE, 0] > math.pi**2:
+            if action == Action.STEPS and rows[ANGLE, 0] > math.pi**2:
                 rows[:] = before
                 formula(action, rows, wide, numbers, s["first"], s["end"], True)
-            if action == SAVE:
+            if action == Action.SAVE:
                 saves[s["slot"], body] = rows[IO : IO + 3, 0]
         states[0, body] = rows[:KEPT, 0]
 
@@ -132,9 +119,10 @@ def test_the_machine_does_what_the_tape_says(seed, any_angle, forks):
     """On random tapes, of two pieces, with a tile that is not full."""
     rng = np.random.default_rng(seed)
     slots, tapes = 3, []
+    restored = np.array([(Action.RESTORE, *[0] * 7)], RECORD)
     for k in range(2):
         tape = random_tape(rng, slots, forks)
-        tapes.append(np.insert(tape, 2, np.array([(RESTORE, *[0] * 7)], RECORD)) if k else tape)
+        tapes.append(np.insert(tape, 1, restored) if k else tape)
     bodies = arrays(rng, slots)
     bodies[2] *= 2.0 if any_angle else 0.5  # angles above π in some lanes, or in none
     wanted = [x.copy() for x in bodies]
@@ -156,7 +144,7 @@ def test_it_stops_where_any_angle_steps_are_missing():
     """At the tile that needs them, from which the next call goes on."""
     rng = np.random.default_rng(0)
     tape = np.array(
-        [(CLOCK, 0, 0, 0, 0.3, 0, 0, 0), (START, *[0] * 7), (STEPS, 0, 9, 0, *[0] * 4)], RECORD
+        [(Action.START, *[0] * 3, 0.3, 0, 0, 0), (Action.STEPS, 0, 9, 0, 0.3, 0, 0, 0)], RECORD
     )
     bodies = arrays(rng, 1)
     bodies[2][:], bodies[2][0, 9] = 0.0, 5.0

@@ -111,7 +111,7 @@ def test_times_to_rounding_are_those_of_steps():
     spins = np.tile([30.0, 20.0, 10.0], (counts.size, 1))
 
     def of(counts, w0, **options):
-        steps = {"dt": 1.0 / counts, "n_steps": counts, "invalid": "flag", "method": "rk4"}
+        steps = {"dt": 1.0 / counts, "n_steps": counts, "method": "rk4"}
         return fa.propagate(SCENES["free"], Q0[0], w0, **steps, **options).state
 
     assert (of(counts, spins, save_at=[1.0]) == of(counts, spins)).all()
@@ -175,7 +175,7 @@ def test_a_body_that_waits_is_not_judged(kind, breakpoints):
         ({"dt": STEPS, "n_steps": COUNTS[:4]}, "n_steps: found array"),
         (
             {"dt": STEPS, "n_steps": COUNTS, "save_every": 2},
-            "save_every: found with per-body step sizes",
+            r"save_every: found with dt \(N,\)",
         ),
         ({"dt": 0.1, "n_steps": 3, "save_every": 2, "save_at": [0.1]}, "save_every: found with"),
         (
@@ -183,7 +183,6 @@ def test_a_body_that_waits_is_not_judged(kind, breakpoints):
             r"save_at\[1\] is 0.4.*; accepted",
         ),
         ({"dt": 0.1, "n_steps": 3, "save_at": [0.2, 0.1]}, "save_at: found times out of order"),
-        ({"dt": 0.1, "n_steps": 3, "save_at": [0.2], "compensated": True}, "compensated: found wi"),
     ],
 )
 def test_refusals(options, message):
@@ -208,21 +207,18 @@ def test_per_body_steps_meet_the_tolerance_with_fewer_steps(method, tol):
     assert np.array_equal(own.dt, 10.0 / own.n_steps)
 
 
-def test_a_sample_of_one_says_so():
-    """Of equal spins some axes are harder: the error is that of the bodies that were run."""
+@pytest.mark.parametrize("sample", [1, 100])
+def test_bodies_outside_of_the_sample_meet_the_tolerance_too(sample):
+    """Of equal spins some axes are harder: the steps are run on the others as well."""
     w0 = np.vstack([(0.0, 0.0, 5.0 + 1e-9), CHANCE.normal(size=(99, 3))])
     w0[1:] *= 5.0 / np.linalg.norm(w0[1:], axis=1)[:, None]
     exact = fa.propagate(SCENES["free"], Q0[:1], w0, dt=10.0, n_steps=1, method="exact")
-    for sample, measured in ((1, 2), (100, 100)):  # the fastest besides
-        options = {"t_end": 10.0, "tol": 1e-5, "method": "rk4", "sample": sample}
-        own = fa.per_body_steps(SCENES["free"], Q0[:1], w0, **options)
-        assert (own.measured, own.n_bodies) == (measured, 100)
-        text = f"error {own.expected_error:.1e} rad at most, measured over {measured} of 100 bodies"
-        assert text in str(own)
-        run = fa.propagate(SCENES["free"], Q0[:1], w0, **own.arguments)
-        error = angle(run.q[-1], exact.q[-1]).max()
-        assert (error > own.expected_error) == (sample == 1)
-        assert own.expected_error <= 1e-5
+    options = {"t_end": 10.0, "tol": 1e-5, "method": "rk4", "sample": sample}
+    own = fa.per_body_steps(SCENES["free"], Q0[:1], w0, **options)
+    text = f"error {own.expected_error:.1e} rad at most, measured over 100 of 100 bodies"
+    assert text in str(own)
+    run = fa.propagate(SCENES["free"], Q0[:1], w0, **own.arguments)
+    assert angle(run.q[-1], exact.q[-1]).max() <= own.expected_error <= 1e-5
 
 
 def test_what_is_recommended_was_run():
@@ -246,7 +242,7 @@ def test_steps_of_a_later_start_are_for_that_start():
     """A torque that grows with time; without t0 the run would be the one from 0."""
     scene = fa.Scene(inertia=(2.0, 1.0, 1.5), torque=late, params=(0.1,))
     rng = np.random.default_rng(1)
-    own = fa.per_body_steps(scene, Q0, W0, t_end=3.0, tol=1e-7, method="rk8", t0=4.0, rng=rng)
+    own = fa.per_body_steps(scene, Q0, W0, t_end=7.0, tol=1e-7, method="rk8", t0=4.0, rng=rng)
     assert own.arguments["t0"] == 4.0
     run = fa.propagate(scene, Q0, W0, **own.arguments)
     fine = fa.propagate(scene, Q0, W0, dt=0.003, n_steps=1000, method="rk8", t0=4.0)
@@ -289,6 +285,6 @@ def test_no_steps_are_tried_that_rounding_makes_worse(monkeypatch):
         return run(problem, case, steps, *given, **options)
 
     monkeypatch.setattr(Problem, "run", counted)
-    with pytest.raises(ValueError, match="accepted: what strang2 can meet, errors stay at"):
+    with pytest.raises(ValueError, match=r"accepted: what can be reached, \S+ rad by strang2"):
         fa.per_body_steps(SCENES["free"], Q0[:1], W0[:1], t_end=1.0, tol=1e-14, method="strang2")
     assert 1e5 < sum(tried) < 1e7

@@ -10,7 +10,7 @@ from oracle import EPS, hat, vec
 
 import fastatt as fa
 from fastatt import estimation
-from fastatt.kernels import error_state, so3, trig
+from fastatt.kernels import error_state, so3
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 # to both sides of 2π, where Jr⁻¹ is singular and nothing here is
@@ -73,16 +73,6 @@ def test_transition_and_noise(theta):
     bias = full(error_state.matrix(error_state.noise(u, H, 0.0, SIGMA_U**2)))
     alone = q - mp.diag([mp.mpf(SIGMA_V) ** 2 * mp.mpf(H)] * 3 + [0] * 3)
     assert gap(bias, alone, first, first) <= bound
-
-
-def test_square_integral_coefficient():
-    for theta in [1e-160, 1e-8, *np.linspace(1e-3, 9.0, 200)]:
-        z = float(theta) ** 2
-        t = mp.sqrt(mp.mpf(z))
-        true = (t**3 / 3 - 2 * t + 2 * mp.sin(t)) / t**5 if z > 1e-20 else mp.mpf(1) / 60
-        assert abs(so3.square_integral_coefficient(z) / true - 1) <= 1e-15
-        if theta <= math.pi:
-            assert abs(2 * trig.sin_second_remainder(z) / true - 1) <= 3.5e-16
 
 
 def test_at_rest_is_farrenkopf_and_short_by_the_stated_shares():

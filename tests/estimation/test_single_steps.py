@@ -233,24 +233,6 @@ def test_in_a_parallel_loop_and_in_place(user):
         assert gap(stepper.read(tuple(x[b]), params[b]), traj.q[-1, i], traj.w[-1, i]) == 0.0
 
 
-def test_a_callers_fastmath_changes_no_rounding():
-    """Inside a loop that may fuse whatever it likes, and is the first to ask for the step."""
-    scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0))
-    stepper = fa.single_step(scene, method="rk4")
-    step = stepper.step
-
-    @njit(fastmath=True)
-    def loop(n, h, x, p):
-        for i in range(n):
-            x = step(i * h, h, x, p)
-        return x
-
-    assert not step.signatures
-    x = loop(100, H, stepper.state(START, W0[0]), stepper.params)
-    traj = fa.propagate(scene, START, W0[0], dt=H, n_steps=100, n_threads=1, method="rk4")
-    assert gap(stepper.read(x, stepper.params), traj.q[-1], traj.w[-1]) == 0.0
-
-
 def test_parameters_as_a_row_of_an_array():
     stepper = fa.single_step(FREE, method="rk4")
     p = stepper.params[1]

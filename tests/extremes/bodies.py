@@ -200,28 +200,6 @@ def about_intermediate(perturbation: float) -> Column:
     return Column(f"{perturbation:g}", free(np.array(H), m / H, 0.05, 400))
 
 
-def scaled(name: str, factor: float) -> Column:
-    """Inertia in other units: bit for bit by a power of two, else to round-off."""
-
-    def run(case: Case) -> Outcome:
-        inertia = single(V)
-        w = single(0.1 * spins(inertia))
-        q0 = np.tile(START, (len(w), 1))
-        ends = []
-        for s in (1.0, factor):
-            scene = fa.Scene(inertia=np.tile(inertia * s, (len(w), 1)))
-            ends.append(propagate(case, scene, q0, w, dt=1.0, n_steps=BODY_STEPS))
-        a, b = ends
-        gap = np.abs(a.q[-1] - b.q[-1]).max(axis=-1) + np.abs(a.w[-1] - b.w[-1]).max(axis=-1) / 0.1
-        exact = math.frexp(factor)[0] == 0.5
-        cond = conditioning(np.tile(inertia, (len(w), 1)), q0, w, float(BODY_STEPS))
-        work = rounding(case, BODY_STEPS, 0.1 * BODY_STEPS * cond)
-        allowed = cond * (0.0 if exact else work)
-        return Outcome(gap.astype(float), allowed, b.status)
-
-    return Column(name, run)
-
-
 # damping and weights
 
 TORQUED_STEPS = 32

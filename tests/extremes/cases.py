@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fastatt as fa
+from fastatt.methods import Method
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,7 @@ OF_RATES = {
 OF_INCREMENTS = {
     "hold": 0.3, "previous": 0.07, "coning2": 0.8, "picard": 130.0,
 }  # fmt: skip
-ANGLES = ("euler313", "rotation_vector")
+ANGLES = ("euler313",)
 # the same of coordinates, whose own speed has to stay below their limit
 ANGLES_PROMISE = 1e-3
 START = np.array([0.6, 0.5, -0.4, 0.48]) / np.linalg.norm([0.6, 0.5, -0.4, 0.48])
@@ -58,7 +59,7 @@ class Case(NamedTuple):
     compensated: bool = False
 
     @property
-    def record(self) -> fa.Method:
+    def record(self) -> Method:
         return fa.METHODS[self.method]
 
     @property
@@ -179,7 +180,7 @@ def propagate(
         warnings.simplefilter("ignore")
         return fa.propagate(
             scene, q0, w0, method=case.method, representation=case.representation,
-            dtype=case.dtype, n_threads=1, invalid="flag", compensated=case.compensated, **options,
+            dtype=case.dtype, n_threads=1, compensated=case.compensated, **options,
         )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import fastatt as fa
 from extremes.bodies import V, rolled
 from extremes.cases import Array, Case, propagate
+from fastatt.methods import Method
 
 # energy over long runs
 
@@ -52,6 +53,6 @@ def energy(case: Case, n_steps: int, saves: int = 200, h: float = 0.1) -> Drift:
     return Drift(*found, float(np.abs(change).max()))
 
 
-def keeps_energy(record: fa.Method) -> bool:
+def keeps_energy(record: Method) -> bool:
     """Whether the energy of bodies swings about its value: of symmetric steps."""
     return not {"free", "torqued"}.isdisjoint(record.reversible)

@@ -32,7 +32,6 @@ def passage(kind: str, distance: float, *, body: bool) -> Callable[[Case], Outco
         "at 0": (exp(0.4 * z), 0.01 * x),
         "at π": (mul(exp(math.pi * x), exp(0.4 * z)), 0.01 * x),
         "past 0": (mul(exp(distance * y), exp(0.32 * x)), -0.01 * x),
-        "past 2π": (exp(3.0 * x + distance * y), 0.1 * x),
     }[kind]
     n = 64
 

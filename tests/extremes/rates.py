@@ -59,39 +59,15 @@ def cone(a: Array, phase: Array) -> Array:
     return np.stack([np.cos(0.5 * a), s * np.cos(phase), s * np.sin(phase), 0.0 * a], axis=-1)
 
 
-def as_it_is(case: Case, q0: Array) -> Array:
-    return q0
-
-
-def times(factor: float) -> Callable[[Case, Array], Array]:
-    return lambda case, q0: factor * q0
-
-
-def least(case: Case, q0: Array) -> Array:
-    """Another attitude, of the smallest numbers that there are."""
-    smallest = float(np.finfo(case.dtype).smallest_subnormal)
-    return np.tile(np.array([3.0, 1.0, -2.0, 1.0]) * smallest, (len(q0), 1))
-
-
-def coning(
-    theta: float,
-    given: Callable[[Case, Array], Array] = as_it_is,
-    n_steps: int = N_STEPS,
-) -> Callable[[Case], Outcome]:
-    """Cones whose half angles let them turn at half to twice the rate of the body.
-
-    ``given`` makes of the initial quaternions others, of any length.
-    """
+def coning(theta: float, n_steps: int = N_STEPS) -> Callable[[Case], Outcome]:
+    """Cones whose half angles let them turn at half to twice the rate of the body."""
 
     def run(case: Case) -> Outcome:
         a, frequency = single(CONES), single(theta / (2.0 * np.sin(0.5 * CONES)))
-        q0 = given(case, mul(START, cone(a, 0.0 * a)))
+        q0 = mul(START, cone(a, 0.0 * a))
         scene = rates(a, frequency, np.zeros((len(a), 3)))
         got = propagate(case, scene, q0, dt=1.0, n_steps=n_steps)
-        unit = q0 / np.abs(q0).max(axis=-1, keepdims=True)
-        unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
-        first = mul(unit, cone(a, 0.0 * a) * (1.0, -1.0, -1.0, -1.0))
-        end = mul(first, cone(a, n_steps * frequency))
+        end = mul(START, cone(a, n_steps * frequency))
         turn = frequency * 2.0 * np.sin(0.5 * a)
         allowed = n_steps * truncation(case, turn) + rounding(case, n_steps, n_steps * frequency)
         return Outcome(angle(got.q[-1], end), allowed, got.status)

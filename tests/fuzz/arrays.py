@@ -1,71 +1,14 @@
-"""Conversions, products, logs in memory, energies and lists."""
+"""Logs in memory."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import fastatt as fa
 from fuzz.draw import WORDS, Draw
-from fuzz.judge import Call, floats, unit
-
-CONVERSIONS: tuple[tuple[Callable[..., Any], tuple[tuple[int, ...], ...], str, str], ...] = (
-    (fa.quat_to_dcm, ((4,), (5, 4), (2, 3, 4)), "q", ""),
-    (fa.dcm_to_quat, ((3, 3), (2, 3, 3)), "C", ""),
-    (fa.euler313_to_quat, ((3,), (2, 3)), "angles", "unit"),
-    (fa.quat_to_euler313, ((4,), (2, 4)), "q", "finite"),
-    (fa.rotation_vector_to_quat, ((3,), (2, 3)), "u", "unit"),
-    (fa.quat_to_rotation_vector, ((4,), (2, 4)), "q", "turn"),
-)
-
-
-def converted(d: Draw) -> Call:
-    function, shapes, name, promise = d.one(CONVERSIONS)
-    x = d.array(*shapes)
-
-    def judge(result: Any) -> str | None:
-        given = floats(x)
-        if given is None or not promise:
-            return None
-        if name == "q" and not np.abs(given).max(-1, initial=0.0).all():
-            return None
-        if promise == "finite" and unit(given, 1e-3):
-            return None
-        if promise == "unit":
-            return unit(result)
-        if not np.isfinite(result).all():
-            return "not finite"
-        most = np.linalg.norm(result.astype(float), axis=-1).max(initial=0.0)
-        return f"{most} rad" if promise == "turn" and most > math.pi * (1.0 + 1e-6) else None
-
-    return Call(function, (x,), {}, judge, (name,))
-
-
-def combined(d: Draw) -> Call:
-    function, names = d.one((
-        (fa.quat_multiply, ("p", "q")),
-        (fa.quat_rotate, ("q", "v")), (fa.quat_rotate_inverse, ("q", "v")),
-        (fa.angle_between, ("a", "b")), (fa.angle_between, ("a", "b")),
-    ))  # fmt: skip
-    second = (3,) if "v" in names else (4,)
-    shapes = ((4,), (2, 4), (3, 1, 4), (3, 3)) if names[0] == "a" else ((4,), (2, 4), (3, 1, 4))
-    a = d.array(*shapes)
-    b = d.array(second, (2, *second), (1, 2, *second))
-
-    def judge(result: Any) -> str | None:
-        given = floats(a), floats(b)
-        if names[0] != "a" or any(x is None or x.shape[-1:] != (4,) for x in given):
-            return None
-        if not all(np.abs(x).max(-1, initial=0.0).all() for x in given):
-            return None
-        good = np.isfinite(result) & (result >= 0.0) & (result <= math.pi * (1.0 + 1e-6))
-        return None if np.all(good) else f"angle {result}"
-
-    return Call(function, (a, b), {}, judge, names)
-
+from fuzz.judge import Call, unit
 
 METHODS = ("hold", "trapezoid", "previous", "coning2", "picard")
 

@@ -9,8 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import fastatt as fa
-
 REFUSALS = (ValueError, TypeError)
 
 
@@ -65,43 +63,3 @@ def trajectory(traj: Any, *, raw: bool = False) -> str | None:
         if not np.isfinite(x[:, bodies]).all():
             return f"status 0, {name} not finite"
     return unit(q[:, bodies], 1e-2 if raw else None)
-
-
-def _same_angle(traj: Any, q0: Any, w: Any, steps: int, inertial: bool) -> str | None:
-    """Of a constant rate: the closed form, where its argument is well-conditioned."""
-    start, rate = floats(q0), floats(w)
-    if start is None or rate is None or not (traj.status == 0).any():
-        return None
-    start, rate = np.atleast_2d(start), np.atleast_2d(rate)
-    with np.errstate(all="ignore"):
-        turn = rate * (traj.dt * steps)
-        sane = (np.abs(turn) < 1e3).all() & (np.abs(start).max(-1) > 1e-30).all()
-        sane &= (np.abs(start) < 1e30).all()
-        if not sane:
-            return None
-        half = 0.5 * np.linalg.norm(turn, axis=-1, keepdims=True)
-        u = np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * turn], axis=-1)
-    q0 = start / np.linalg.norm(start, axis=-1, keepdims=True)
-    right = fa.quat_multiply(u, q0) if inertial else fa.quat_multiply(q0, u)
-    q = np.atleast_2d(traj.q[-1])
-    off = np.asarray(fa.angle_between(q.astype(np.float64), right))
-    off = off[np.broadcast_to(traj.status == 0, off.shape)].max(initial=0.0)
-    allowed = 1e-10 if q.dtype == np.float64 else 3e-3
-    if traj.method != "magnus4":
-        allowed = 0.3
-    return f"status 0, wrong by {off:.0e} rad" if off > allowed else None
-
-
-def _free_invariants(q: Any, w: Any, moments: Any, ok: Any) -> str | None:
-    """|I w| and energy are those of the start: (S, N, 3)."""
-    with np.errstate(all="ignore"):
-        m = w.astype(np.longdouble) * moments
-        for name, x in (("energy", (m * w).sum(-1)), ("momentum", (m * m).sum(-1))):
-            far = np.abs(x - x[:1])[:, ok] > 0.05 * np.abs(x[:1])[:, ok]
-            if far.any():
-                return f"status 0, {name} changed"
-    return None
-
-
-def anything(result: Any) -> str | None:
-    return None

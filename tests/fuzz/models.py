@@ -98,8 +98,6 @@ def closed_form(d: Draw) -> Call:
     options: dict[str, Any] = {"n_threads": 1, "dtype": np.float64}
     if d.chance(0.1):
         options["dtype"] = d.one(("f8", int, "x", 3))
-    if d.chance(0.3):
-        options["invalid"] = d.word("raise", "flag")
     if d.chance(0.1):
         options["allow_unphysical"] = d.one((True, False, 1, None))
 
@@ -107,7 +105,7 @@ def closed_form(d: Draw) -> Call:
         q, w = result
         given = [floats(x) for x in (q0, w0, t)]
         if any(x is None for x in given):
-            return None  # flagged by NaN
+            return None
         if not np.abs(given[0]).max(-1).all():
             return None
         bad = ~(np.isfinite(q).all(-1) & np.isfinite(w).all(-1))
@@ -118,5 +116,5 @@ def closed_form(d: Draw) -> Call:
             return None if fastest > 1e50 or turn > 1e16 else "not finite"
         return unit(q)
 
-    names = ("q0", "w0", "inertia", "t", "dtype", "n_threads", "invalid", "allow_unphysical")
+    names = ("q0", "w0", "inertia", "t", "dtype", "n_threads", "allow_unphysical")
     return Call(function, (q0, w0, body, t), options, judge, names)

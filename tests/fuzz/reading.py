@@ -9,7 +9,7 @@ from typing import Any
 import fastatt as fa
 from fuzz.draw import ODD, Draw
 from fuzz.judge import REFUSALS, Call
-from fuzz.logs import Log, hostile_log, read_wrong, written
+from fuzz.logs import hostile_log, read_wrong, written
 
 READER = (
     "source", "time stamp", "columns", "unit", "rate", "time_column", "rows", "time_unit",
@@ -18,16 +18,18 @@ READER = (
 
 
 def read(d: Draw, folder: Path) -> Call:
-    meant = hostile_log(d)
-    path: Any = written(folder, meant.content)
-    options = dict(meant.options)
+    path: Any = written(folder, hostile_log(d))
+    options: dict[str, Any] = {"unit": "rad/s"}
+    if d.chance(0.5):
+        options["rate"] = 50.0
+    if d.chance(0.2):
+        options["columns"] = ["1", "2", "3"]
     if d.chance(0.1):
-        meant = Log(b"", {}, None, None)
         for name, value in (
             ("rate", lambda: d.real(50.0)),
             ("unit", lambda: d.word("rad/s", "deg/s")),
             ("time_unit", lambda: d.word("s", "ms", "us", "ns")),
-            ("on_bad_rows", lambda: d.word("drop", "split", "hold")),
+            ("on_bad_rows", lambda: d.word("drop", "split")),
             ("max_gap", lambda: d.real(1.0)),
             ("bias_seconds", lambda: d.real(1.0)),
             ("columns", lambda: _chosen(d, 3)),
@@ -42,10 +44,7 @@ def read(d: Draw, folder: Path) -> Call:
         )
         path = folder if isinstance(path, bool) else path  # no file descriptors
 
-    def judge(log: Any) -> str | None:
-        return read_wrong(log, meant)
-
-    return Call(fa.read_gyro_log, (path,), options, judge, READER, (*REFUSALS, OSError))
+    return Call(fa.read_gyro_log, (path,), options, read_wrong, READER, (*REFUSALS, OSError))
 
 
 def _chosen(d: Draw, n: int) -> Any:

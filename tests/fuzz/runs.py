@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import fastatt as fa
 from fuzz.draw import NO_METHODS, WORDS, Draw
-from fuzz.judge import Call, _free_invariants, _same_angle, anything, trajectory
+from fuzz.judge import Call, trajectory
 
 # targets
 
@@ -23,7 +23,6 @@ def run_options(d: Draw, kinds: tuple[str | None, ...] = (None,)) -> dict[str, A
     for name, p, value in (
         ("t0", 0.1, lambda: d.real(1.0)),
         ("n_threads", 0.05, d.whole),
-        ("invalid", 0.2, lambda: d.word("raise", "flag")),
         ("normalise", 0.1, lambda: d.one(("output", "never", 2, d.whole(), d.one(WORDS)))),
         ("representation", 0.03, lambda: d.one(WORDS)),
         ("on_save", 0.02, lambda: d.one((str, 3, "x"))),
@@ -81,7 +80,7 @@ RUNS = (
 )
 ARGUMENTS = (
     "scene", "q0", "w0", "v0", "r0", "dt", "n_steps", "method", "representation", "save_every",
-    "dtype", "n_threads", "t0", "compensated", "normalise", "invalid", "on_save", "rate", "inertia",
+    "dtype", "n_threads", "t0", "compensated", "normalise", "on_save", "rate", "inertia",
     "params", "frame", "torque", "mass", "force", "every",
     "allow_unphysical",
 )  # fmt: skip
@@ -114,32 +113,6 @@ def propagated(d: Draw, runs: tuple[Run, ...]) -> Call:
     def judge(traj: Any) -> str | None:
         if traj is None:
             return "gave None"
-        wrong = trajectory(traj, raw=options.get("normalise") == "never")
-        if wrong is None and isinstance(scene.rate, fa.rates.Constant):
-            wrong = _same_angle(
-                traj, q0, scene.rate.w, int(options["n_steps"]), scene.frame == "inertial"
-            )
-        if wrong is None and scene.kind in ("free", "symmetric", "spherical"):
-            w = traj.w[:, None] if traj.one_body else traj.w
-            wrong = _free_invariants(None, w, scene.principal.moments, traj.status == 0)
-        return wrong
+        return trajectory(traj, raw=options.get("normalise") == "never")
 
     return Call(fa.propagate, (scene, q0, w0), options, judge, ARGUMENTS)
-
-
-def directed(d: Draw, runs: tuple[Run, ...]) -> Call:
-    w = np.nan_to_num(d.numbers((3,)), posinf=1.0, neginf=-1.0)
-    options = run_options(d)
-    options = {
-        k: options[k] for k in ("dt", "n_steps", "n_threads", "save_every", "t0") if k in options
-    }
-    options["dtype"] = np.float64
-    options["method"] = "magnus4" if d.chance(0.95) else d.one(NO_METHODS)
-    v0 = d.array((3,), (2, 3), (1, 2, 3))
-    return Call(
-        fa.propagate_directions,
-        (fa.Scene(rate=fa.rates.Constant(w)), v0),
-        options,
-        anything,
-        ARGUMENTS,
-    )

@@ -82,6 +82,16 @@ def test_pieces_with_intervals_given_along(method, increments, cuts, gaps, n_bod
     assert found.tobytes() == whole.tobytes()
 
 
+@each(("method", "increments"), SAMPLED)
+def test_one_interval_for_all_samples_of_a_push(method, increments):
+    data = LOG[0, :67] * (0.02 if increments else 1.0)
+    options = {"method": method, "increments": increments}
+    flow = fa.GyroIntegrator(START, **options)
+    found = np.concatenate([flow.push(data[:50], 0.02), flow.push(data[50:], 0.02), flow.close()])
+    spans = np.full(len(data) - (not increments), 0.02)
+    assert found.tobytes() == fa.integrate_rates(data, spans, START, **options).tobytes()
+
+
 def test_a_long_gap_is_warned_of_unless_it_is_accepted():
     rates = np.tile([0.1, 0.2, 0.3], (41, 1))
     spans = np.full(40, 0.01)
@@ -103,14 +113,6 @@ def test_a_long_gap_is_warned_of_unless_it_is_accepted():
         assert len(later) == 16
     with pytest.raises(ValueError, match=r"0\.5: a gap"):
         fa.GyroIntegrator(START, max_gap=0.1).push(rates, spans)
-
-
-def test_long_pieces_on_threads_are_the_whole_log():
-    """More than a thread takes at least, from within a chunk to within a chunk."""
-    data = np.resize(LOG, (150_000, 3))
-    whole = fa.integrate_rates(data, 0.01, START, n_threads=1)
-    found = streamed(data, 0.01, (20, 120_000, 29_980), n_threads=2)
-    assert found.tobytes() == whole.tobytes()
 
 
 @pytest.mark.parametrize(

@@ -428,7 +428,7 @@ SOON = {"epoch": datetime(2026, 1, 1, tzinfo=UTC), "metadata": {"TIME_SYSTEM": "
         ({"metadata": 5}, "metadata: found 5; accepted: a mapping of str to str"),
         ({"metadata": [("OBJECT_NAME", "A")]}, "metadata: found .*; accepted: a mapping of str"),
         ({"metadata": {"TIME_SYSTEM": 5}}, "metadata TIME_SYSTEM: found 5; accepted: a line"),
-        ({"header": {5: "A"}}, "header: a keyword: found 5; accepted: a line of ASCII text"),
+        ({"header": {5: "A"}}, "header: found 5; accepted: CLASSIFICATION, CREATION_DATE"),
         ({"header": "A"}, "header: found 'A'; accepted: a mapping of str to str"),
         ({"epoch": pd.NaT}, "epoch: found NaT; accepted: a datetime"),
         ({"epoch": 5}, "epoch: found 5; accepted: a datetime, .unix., or text such as YYYY-MM-DD"),

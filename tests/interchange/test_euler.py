@@ -9,6 +9,7 @@ from exact import EPS, angle, exp, mul
 from scipy.spatial.transform import Rotation
 
 import fastatt as fa
+from fastatt.interchange import from_scipy
 from fastatt.interchange.euler import SEQUENCES
 
 RNG = np.random.default_rng(5)
@@ -46,7 +47,7 @@ def test_rotations_about_axes(sequence):
 def test_as_scipy(sequence):
     theirs = Rotation.from_quat(np.roll(QUATS, -1, axis=-1))
     assert apart(fa.quat_to_euler(QUATS, sequence), theirs.as_euler(sequence)) < 64 * EPS
-    made = fa.from_scipy(Rotation.from_euler(sequence, ANGLES))
+    made = from_scipy(Rotation.from_euler(sequence, ANGLES))
     assert angle(fa.euler_to_quat(ANGLES, sequence), made).max() < 8 * EPS
 
 

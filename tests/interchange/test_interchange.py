@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import ahrs
+import sys
+
 import numpy as np
 import pytest
-import quaternion
 import scipy
 from exact import EPS, angle, exp, matrix, mul, rotate
 
 import fastatt as fa
 from fastatt import interchange as ic
+from fastatt.interchange import from_scipy, to_scipy
 
 RNG = np.random.default_rng(3)
 Q = RNG.normal(size=(50, 4))
@@ -24,31 +25,22 @@ def same(p, q, tol=8 * EPS):
 
 
 def test_scipy_there_and_back():
-    rotation = fa.to_scipy(Q)
+    rotation = to_scipy(Q)
     assert np.abs(rotation.apply(V) - rotate(Q, V)).max() <= 16 * EPS
     assert np.abs(rotation.as_matrix() - matrix(Q)).max() <= 8 * EPS
-    same(fa.from_scipy(rotation), Q)
-    same(fa.from_scipy(fa.to_scipy(Q[0])), Q[0])
+    same(from_scipy(rotation), Q)
+    same(from_scipy(to_scipy(Q[0])), Q[0])
     # their product is ours
-    same(fa.from_scipy(rotation * rotation[::-1]), mul(Q, Q[::-1]))
+    same(from_scipy(rotation * rotation[::-1]), mul(Q, Q[::-1]))
     assert np.abs(rotation.as_rotvec() - fa.quat_to_rotation_vector(Q)).max() <= 16 * EPS
 
 
 def test_scipy_takes_attitudes_of_any_length():
     for size in (1e-320, 1e-200, 1e200):
-        assert fa.to_scipy([size, 0.0, 0.0, size]).magnitude() == pytest.approx(np.pi / 2)
+        assert to_scipy([size, 0.0, 0.0, size]).magnitude() == pytest.approx(np.pi / 2)
     for bad in ([0.0] * 4, [np.nan, 0.0, 0.0, 1.0]):
         with pytest.raises(ValueError, match=r"^q"):
-            fa.to_scipy(bad)
-
-
-def test_scipy_histories():
-    history = Q.reshape(5, 10, 4)
-    if tuple(map(int, scipy.__version__.split(".")[:2])) >= (1, 17):
-        same(fa.from_scipy(fa.to_scipy(history)), history)
-    else:
-        with pytest.raises(ValueError, match="shape"):
-            fa.to_scipy(history)
+            to_scipy(bad)
 
 
 def test_initial_attitudes_as_rotations():
@@ -58,7 +50,7 @@ def test_initial_attitudes_as_rotations():
     turns = [exp(a * axis) for a, axis in zip(angles[0], np.eye(3)[[2, 1, 0]], strict=True)]
     assert (
         angle(
-            fa.from_scipy(scipy.spatial.transform.Rotation.from_euler("ZYX", angles[0])),
+            from_scipy(scipy.spatial.transform.Rotation.from_euler("ZYX", angles[0])),
             mul(mul(*turns[:2]), turns[2]),
         )
         <= 4 * EPS
@@ -69,37 +61,17 @@ def test_initial_attitudes_as_rotations():
     ):
         given = {"w0": [0.1, 0.2, 0.3], "dt": 0.1, "n_steps": 2, "method": "exact"}
         run = fa.propagate(body, q0, **given)
-        assert np.array_equal(run.q, fa.propagate(body, fa.from_scipy(q0), **given).q)
+        assert np.array_equal(run.q, fa.propagate(body, from_scipy(q0), **given).q)
 
 
 def test_the_scalar_last_trap():
-    last = fa.to_scipy(Q).as_quat()
+    last = to_scipy(Q).as_quat()
     assert np.abs(last - ic.to_scalar_last(Q)).max() <= 2 * EPS
     assert np.array_equal(ic.from_scalar_last(ic.to_scalar_last(Q)), Q)
     with pytest.raises(TypeError, match=r"rotation: found ndarray; .* from_scalar_last"):
-        fa.from_scipy(last)
+        from_scipy(last)
     # what a transposed order would do
     assert angle(last, Q).max() > 1.0
-
-
-def test_numpy_quaternion():
-    theirs = quaternion.as_quat_array(Q)
-    assert np.abs(quaternion.as_rotation_matrix(theirs) - matrix(Q)).max() <= 8 * EPS
-    same(quaternion.as_float_array(theirs * theirs[::-1]), mul(Q, Q[::-1]))
-
-
-def test_ahrs():
-    theirs = ahrs.Quaternion(Q[0])
-    assert np.abs(theirs.to_DCM() - matrix(Q[0])).max() <= 8 * EPS
-    same(np.asarray(theirs.product(Q[1])), mul(Q[0], Q[1]))
-
-
-def test_scikit_kinematics():
-    from skinematics import quat as skquat  # a second's import
-    from skinematics import vector as skvector
-
-    assert np.abs(skvector.rotate_vector(V, Q) - rotate(Q, V)).max() <= 16 * EPS
-    same(skquat.q_mult(Q, Q[::-1]), mul(Q, Q[::-1]))
 
 
 def test_jpl():
@@ -119,7 +91,7 @@ def test_modified_rodrigues_parameters():
     cross = np.cross(np.eye(3), s[:, None, :])
     c = np.eye(3) + (8 * cross @ cross - 4 * (1 - z) * cross) / (1 + z) ** 2
     assert np.abs(c - np.swapaxes(matrix(Q), 1, 2)).max() <= 32 * EPS
-    assert np.abs(s - fa.to_scipy(Q).as_mrp()).max() <= 8 * EPS
+    assert np.abs(s - to_scipy(Q).as_mrp()).max() <= 8 * EPS
     same(fa.mrp_to_quat(s), Q)
     same(fa.mrp_to_quat(-s / z[:, 0]), Q)  # the shadow set
 
@@ -170,6 +142,20 @@ def test_tables_hold_every_number_to_its_last_bit(bodies, tmp_path):
         last = frame[frame.body == 2]
         assert np.array_equal(last.t, run.t)
         assert np.array_equal(last[["q0", "q1", "q2", "q3"]], run.q[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("package", "call", "source"),
+    [
+        ("pandas", lambda: run_of(1).to_dataframe(), "to_dataframe: .*'fastatt\\[logs\\]'"),
+        ("scipy", lambda: ic.to_scipy([1, 0, 0, 0]), "to_scipy: .*'scipy'"),
+    ],
+)
+def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, package, call, source):
+    monkeypatch.setitem(sys.modules, "scipy.spatial.transform", None)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=source):
+        call()
 
 
 def test_long_tables_are_written_in_pieces(tmp_path, monkeypatch):

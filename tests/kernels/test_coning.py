@@ -57,9 +57,6 @@ def fitted(found, true, total):
         assert distance(f, t) <= 128 * EPS * size
 
 
-# fits
-
-
 @each("seed", range(SETS))
 def test_rates_fits_reproduce_polynomials(seed):
     t1, t2 = np.cumsum(uniform(0.5, 2.0, 2, seed)).tolist()
@@ -101,27 +98,6 @@ def test_published_coefficients(h):
 
 
 # rotation vector
-
-
-def own_formula(coefficients, t):
-    """αt + ½∫α×w of the polynomial, term by term: tᵐ⁺ⁿ⁺² cm×cn /((m + 1)(m + n + 2))."""
-    t = mp.mpf(t)
-    total = integral(coefficients, 0, t)
-    for m, a in enumerate(coefficients):
-        for n, b in enumerate(coefficients):
-            part = t ** (m + n + 2) / ((m + 1) * (m + n + 2)) * cross(vec(a), vec(b))
-            total += part / 2
-    return total
-
-
-@terms
-@pytest.mark.parametrize("t", [1e-300, 1e-3, 1.0, -0.7, 2.0])
-def test_rotation_vector_is_its_formula(terms, t):
-    for seed in range(SETS):
-        c = vectors(terms, seed)
-        size = sum(norm(x) * abs(mp.mpf(t)) ** (n + 1) for n, x in enumerate(c))
-        found = VECTORS[terms](*c, t)
-        assert distance(found, own_formula(c, t)) <= 8 * EPS * (size + size**2)
 
 
 @terms

@@ -32,7 +32,7 @@ from oracle import (
     vectors,
 )
 
-from fastatt.kernels import dcm, two_rows
+from fastatt.kernels import dcm
 
 N = 300
 ONE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -220,8 +220,8 @@ def test_orthonormalise_rows_is_of_second_order():
     sizes = [1e-2, 1e-3, 1e-4, 1e-5]
     left = []
     for c in crooked(sizes, 1)[1]:
-        a, b = two_rows.orthonormalise_rows(c[:3], c[3:6])
-        left.append(dcm.norm_error(two_rows.close_rows(a, b)))
+        a, b = dcm.orthonormalise_rows(c[:3], c[3:6])
+        left.append(dcm.norm_error(dcm.close_rows(a, b)))
     assert slope(sizes, left) == pytest.approx(2, abs=0.02)
     assert left[-1] < 1e-9
 
@@ -229,11 +229,11 @@ def test_orthonormalise_rows_is_of_second_order():
 def test_orthonormalise_leaves_a_rotation():
     for c in matrices("uniform"):
         assert distance(dcm.orthonormalise(c), c) <= 2 * PRODUCT
-        a, b = two_rows.orthonormalise_rows(c[:3], c[3:6])
-        assert distance(two_rows.close_rows(a, b), c) <= 2 * PRODUCT
+        a, b = dcm.orthonormalise_rows(c[:3], c[3:6])
+        assert distance(dcm.close_rows(a, b), c) <= 2 * PRODUCT
 
 
 def test_close_rows():
     for c in matrices("uniform"):
-        assert distance(two_rows.close_rows(c[:3], c[3:6]), c) <= PRODUCT
-        assert two_rows.close_rows(c[:3], c[3:6])[:6] == c[:6]
+        assert distance(dcm.close_rows(c[:3], c[3:6]), c) <= PRODUCT
+        assert dcm.close_rows(c[:3], c[3:6])[:6] == c[:6]

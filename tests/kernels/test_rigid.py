@@ -1,4 +1,4 @@
-"""Kernels of rigid bodies and of the Moser-Veselov step against mpmath and closed forms."""
+"""Kernels of rigid bodies against mpmath."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 import rigid_oracle as ro
 from oracle import (
     EPS,
-    directions,
     distance,
     error,
     floats,
@@ -23,7 +22,6 @@ from oracle import (
 )
 
 from fastatt.kernels import dcm, quat, rigid
-from fastatt.kernels import moser_veselov as mv
 
 N = 200
 # a sum of three products of numbers of size 1, each rounded
@@ -141,109 +139,3 @@ def test_mul_vector():
     for q, v in zip(quaternions(N, 4), RATES, strict=True):
         exact = quat_mul(vec(q), vec((0.0, *v)))
         assert distance(quat.mul_vector(q, v), exact) <= PRODUCT * math.hypot(*v)
-
-
-# the modified moments
-
-
-def inverse_powers(level):
-    """C and H of unit C of a turn about each axis, and what (1 + s)/I + d adds there.
-
-    About a principal axis the step turns by arcsin of h m/K exactly: 1/K = sin θ/(θ I), with
-    θ = h m/I, C = h²m²/2, H = C/I. Of sin θ/θ = Σ (−2C/I²)^n/(2n + 1)! the level n has its term.
-    """
-    return [
-        (inertia, i, (-2 / mp.mpf(i) ** 2) ** level / mp.factorial(2 * level + 1) / mp.mpf(i))
-        for inertia in BODIES
-        for i in inertia
-    ]
-
-
-LEVELS = {
-    1: (mv.coefficients2, mv.corrections2, 4),
-    2: (mv.coefficients4, mv.corrections4, 6),
-    3: (mv.coefficients6, mv.corrections6, 8),
-    4: (mv.coefficients8, mv.corrections8, 10),
-}
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_corrections_of_a_turn_about_a_principal_axis(level):
-    coefficients, corrections, count = LEVELS[level]
-    for inertia, i, exact in inverse_powers(level):
-        k = coefficients(inertia)
-        assert len(k) == count
-        s, d = corrections(1.0, 1.0 / i, k)
-        size = max(abs(c) for c in k) * max(1.0, 1.0 / i**level) * count
-        assert abs(s / i + d - exact) <= 20 * EPS * size
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_corrections_are_homogeneous_and_symmetric(level):
-    """Of degree n in C and H; the moments' order does not matter."""
-    coefficients, corrections, _ = LEVELS[level]
-    for inertia in BODIES[:20]:
-        k = coefficients(inertia)
-        one = corrections(0.3, 0.4, k)
-        assert corrections(0.6, 0.8, k) == pytest.approx([2.0**level * c for c in one], rel=1e-13)
-        for order in ((1, 2, 0), (1, 0, 2)):
-            other = coefficients(tuple(inertia[i] for i in order))
-            size = max(abs(c) for c in k)
-            assert other == pytest.approx(k, rel=1e-11, abs=1e-12 * size)
-
-
-# the implicit step
-
-
-def solved(size):
-    for inertia, u in zip(BODIES, directions(N, 9), strict=True):
-        u = tuple(size * c for c in u)
-        kappa = mv.asymmetry(mv.modified_inverse(inertia, 0.0, 0.0))
-        yield u, kappa, *mv.solve(u, kappa)
-
-
-def residual(u, kappa, c):
-    c, u, kappa = vec(c), vec(u), vec(kappa)
-    a = 1 + ro.dot(c, c)
-    pairs = (c[1] * c[2], c[2] * c[0], c[0] * c[1])
-    return [c[i] - a * u[i] - kappa[i] * pairs[i] for i in range(3)]
-
-
-@pytest.mark.parametrize("size", [1e-150, 1e-6, 0.01, 0.05])
-def test_solve(size):
-    """c1 = (1 + |c|²) u1 + κ1 c2 c3, cyclic, to round-off for turns of up to 0.1 rad."""
-    for u, kappa, c, change in solved(size):
-        assert change < 1e-26
-        assert float(mp.norm(mp.matrix(residual(u, kappa, c)))) <= 4 * EPS * math.hypot(*c)
-
-
-@pytest.mark.parametrize("size", [0.6, 3.0])
-def test_solve_says_where_there_is_no_solution(size):
-    """c/(1 + |c|²) is at most ½."""
-    for _, _, _, change in solved(size):
-        assert not change < 1e-26
-
-
-def test_rotation():
-    for c in vectors(N, 10):
-        r, inverse = mv.rotation(c)
-        a = 1 + ro.dot(vec(c), vec(c))
-        assert abs(inverse - 1 / a) <= PRODUCT * float(1 / a)
-        assert distance(r, [x / mp.sqrt(a) for x in (1, *vec(c))]) <= PRODUCT
-
-
-def test_step_keeps_momentum_and_energy():
-    """Of the discrete equations: u + 2 κ c×c/(1 + |c|²) is the momentum seen from the new body."""
-    for inertia, m in zip(BODIES, vectors(N, 11), strict=True):
-        h = 0.05
-        inverse = mv.modified_inverse(inertia, 0.0, 0.0)
-        kappa = mv.asymmetry(inverse)
-        u = tuple(0.5 * h * a * b for a, b in zip(inverse, m, strict=True))
-        c, _ = mv.solve(u, kappa)
-        r, share = mv.rotation(c)
-        pairs = (c[1] * c[2], c[2] * c[0], c[0] * c[1])
-        after = [u[i] + 2.0 * share * kappa[i] * pairs[i] for i in range(3)]
-        m1 = [after[i] / (0.5 * h * inverse[i]) for i in range(3)]
-        assert distance(quat.rotate_inverse(r, m), m1) <= 16 * EPS * math.hypot(*m)
-        energy = [sum(x * x / i for x, i in zip(a, inertia, strict=True)) for a in (m, m1)]
-        assert energy[1] == pytest.approx(energy[0], rel=32 * EPS)

@@ -135,4 +135,3 @@ def test_vec3():
     assert vec3.sub(a, b) == (-3.0, -9.0, 8.0)
     assert vec3.scale(k, a) == (6.0, -12.0, 18.0)
     assert vec3.axpy(k, a, b) == (10.0, -5.0, 13.0)
-    assert vec3.neg(a) == (-1.0, 2.0, -3.0)

@@ -10,7 +10,6 @@ import functools
 import itertools
 import math
 
-import mpmath as mp
 import numpy as np
 import pytest
 import rigid_oracle as ro
@@ -19,11 +18,8 @@ from exact import EPS, LENGTHY, START, angle, observed_order
 from oracle import floats
 
 import fastatt as fa
-from fastatt.attitudes import QUATERNION
-from fastatt.methods import gbs16
-from fastatt.scene.equations import RigidBody, motion_of
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.scene.torque_record import Dependence
-from fastatt.scene.torques import pack
 
 MOMENTS = np.array([0.6, 0.8, 1.0])
 INERTIA = np.array([MOMENTS[list(o)] for o in itertools.permutations(range(3))])
@@ -48,7 +44,7 @@ def torqued(inertia, motion=MOTION, arm=ARM, drag=0.0):
 
 
 def stepped(scene):
-    return [m for m in fa.methods_for(scene) if fa.METHODS[m].is_stepped]
+    return [m for m in methods_for(scene) if fa.METHODS[m].is_stepped]
 
 
 def in_each(names):
@@ -165,7 +161,6 @@ def body(known):
 
 ONE = np.array([[1.0, 0.0, 0.0, 0.0]])
 H, H_INERTIA, H_W0 = body(ro.BODY_H)
-V, V_INERTIA, V_W0 = body(ro.BODY_V)
 
 
 def energy(inertia, w):
@@ -212,36 +207,6 @@ def test_errors_of_body_h(method):
         assert agrees(found, stated), found
     change = abs(energy(H_INERTIA, traj.w[-1, 0]) - energy(H_INERTIA, H_W0)).item()
     assert agrees(change, of_energy), change
-
-
-@pytest.mark.parametrize(
-    ("method", "stated"),
-    [
-        ("rkmk4", 1.6e-4),
-        ("kahan_li8", 1.7e-11),
-    ],
-)
-def test_body_v_with_a_potential(method, stated):
-    """U = q0² − q1² − q2² + q3² = C33: a unit weight at e3."""
-    exact = ro.integrate(ro.BODY_V.inertia, (1, 0, 0, 0), ro.BODY_V.w0, 10, ro.potential_v, 18)
-    scene = torqued(V_INERTIA, motion=0.0, arm=np.array([0.0, 0.0, 1.0]))
-    traj = run(scene, method, 100, 10.0, ONE, V_W0)
-    assert angle(traj.q[-1, 0], floats(exact.q)) == pytest.approx(stated, rel=0.1)
-
-
-@pytest.mark.parametrize("epsilon", ro.FLIP_TIMES)
-def test_flips(epsilon):
-    """Body H about its intermediate axis: the time from flip to flip."""
-    w0 = np.array([floats(ro.angular_velocity(
-        ro.BODY_H.inertia, (mp.mpf(epsilon), mp.sqrt(1 - mp.mpf(epsilon) ** 2), mp.mpf(0))
-    ))])  # fmt: skip
-    time = ro.FLIP_TIMES[epsilon]
-    traj = run(H, "dmv10", 1000, time, ONE, w0)
-    m = H_INERTIA[0] * traj.w[-1, 0]
-    # the energy, kept to a few ulps, decides ε²
-    assert abs(m[0] / epsilon - 1.0) < 1e-8 + 4 * EPS / epsilon**2
-    assert abs(m[1] + 1.0) < epsilon**2
-    assert abs(m[2]) < 2e-8
 
 
 # invariants
@@ -360,41 +325,7 @@ def test_nearly_spherical_bodies(method):
     assert angle(traj.q[-1, 0], floats(exact.q)) < 1e-13 + rounding + allowed
 
 
-def test_symmetric_top_on_its_angles():
-    """3-1-3 angles by RK4 against exp(L t/I1)∘q0∘exp(e3 (1/I3 − 1/I1) m3 t)."""
-    i1, i3, t = 0.8, 1.1, 2.0
-    scene = fa.Scene(inertia=[[i1, i1, i3]])
-    q0 = np.array(floats(ro.euler_attitude(mp.mpf("0.3"), mp.mpf("1.4"), mp.mpf("-0.5"))))
-    w0 = np.array([0.3, -0.2, 1.5])
-    q, w = ro.symmetric_top(q0.tolist(), w0.tolist(), i1, i3, t)
-    errors = []
-    for n in (200, 400):
-        traj = run(scene, "rk4", n, t, q0[None], w0[None], "euler313")
-        assert traj.status.tolist() == [0]
-        errors.append(gap(traj, np.array([floats(q)]), np.array([floats(w)])))
-    assert errors[1] < 1e-9
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
-    assert traj.euler313.shape == (1, 1, 3)
-
-
 # the extrapolated midpoint rule
-
-
-def bare_motion():
-    """A body under a torque, for steps on Python's own numbers; its state."""
-    law, torque, _ = pack(fa.torques.HeavyTop((0.0, 0.3, 0.1), 10.0), None)
-    i = tuple(MOMENTS.tolist())
-    p = (*(0.5 / x for x in i), *i, *fa.kernels.rigid.gyroscopic_coefficients(i), *torque)
-    return motion_of(RigidBody(law), QUATERNION, p, 0.0), (0.5, 0.5, -0.5, 0.5, 0.1, 0.2, 0.3)
-
-
-def test_what_the_weights_of_columns_miss_is_not_a_part_of_the_step(monkeypatch):
-    """It is one of what columns differ by, h² w²/16 and 39 weights: 1 % here."""
-    motion, x = bare_motion()
-    assert gbs16.step(motion, 0.0, 0.0, x)[0] == x
-    y = np.array(gbs16.step(motion, 0.0, 0.01, x)[0])
-    monkeypatch.setattr(gbs16, "_WEIGHTS", [(1.0 + 1e-6) * w for w in gbs16._WEIGHTS])
-    assert np.abs(gbs16.step(motion, 0.0, 0.01, x)[0] - y).max() < 1e-8 * np.abs(y - x).max()
 
 
 def of_attitude(t, q, w, p):

@@ -9,23 +9,18 @@ import numpy as np
 import pytest
 from each import each
 from exact import (
-    EPS,
     START,
     angle,
     combinations,
-    cone,
-    coning,
-    exp,
     generic,
-    mul,
     observed_order,
-    steady,
 )
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.engine.job import Job
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.scene.equations import Body, Turning
 
 BODIES = generic(3)
@@ -56,105 +51,7 @@ def test_observed_order_is_the_declared_one(method, representation):
 # error constants
 
 
-# errors in the coarse and the fine step: a new method needs a row
-KNOWN = [
-    ("lie_euler", "9.4e-02", "2.3e-02"),
-    ("lie_midpoint", "2.4e-02", "1.5e-03"),
-    ("cg3", "9.6e-05", "1.3e-06"),
-    ("rk4", "5.9e-06", "2.4e-08"),
-    ("rkmk4", "3.1e-06", "1.2e-08"),
-    ("magnus4", "6.4e-06", "2.5e-08"),
-    ("cf4", "1.3e-05", "5.2e-08"),
-    ("magnus6", "1.4e-07", "3.5e-11"),
-    ("magnus8", "1.0e-04", "4.1e-07"),
-    ("gauss12", "1.8e-09", "4.3e-13"),
-]
-
-
-@each(("method", "coarse", "fine"), KNOWN)
-@each("column", [0, 1])
-def test_coning_error_has_the_known_digits(method, coarse, fine, column):
-    """Goodman and Robinson's coning at 1 rad and 1 rad/s, after 20 s, in steps of 0.2 and 0.05 s.
-
-    Of order 8 and more in steps of 1 and 0.5 s: smaller ones are rounding.
-    """
-    h = ((1.0, 0.5) if fa.METHODS[method].order >= 8 else (0.2, 0.05))[column]
-    start = coning(0.0, 1.0, 1.0)[None]
-    n = round(20.0 / h)
-    traj = fa.propagate(cone(1.0, 1.0).scene, start, dt=h, n_steps=n, method=method)
-    error = angle(traj.q[-1, 0], coning(20.0, 1.0, 1.0))
-    assert f"{error:.1e}" == (coarse, fine)[column]
-
-
-def test_coning_table_names_every_method():
-    assert sorted(row[0] for row in KNOWN) == sorted(m.name for m in METHODS)
-
-
-THETAS = np.array([0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.5])
-
-
-@pytest.mark.parametrize(
-    ("representation", "share", "angle_5", "norm_6"),
-    [("quat", 2.0, 1920.0, 9216.0), ("dcm", 1.0, 120.0, 144.0), ("dcm_rows", 1.0, 120.0, 144.0)],
-)
-def test_rk4_on_a_constant_rate(representation, share, angle_5, norm_6):
-    """A step multiplies by 1 + ix − x²/2 − ix³/6 + x⁴/24, x = θ/2 of a quaternion, θ of a matrix.
-
-    Its argument is θ⁵/1920 or θ⁵/120 short of the angle, its modulus θ⁶/9216 or θ⁶/144 short of 1.
-    """
-    n = 20
-    w = np.outer(THETAS, [0.0, 0.0, 1.0])
-    start = np.tile([1.0, 0.0, 0.0, 0.0], (len(w), 1))
-    traj = fa.propagate(
-        steady(w).scene, start, dt=1.0, n_steps=n, method="rk4", representation=representation
-    )
-    x = THETAS / share
-    factor = 1.0 - x**2 / 2.0 + x**4 / 24.0 + 1j * (x - x**3 / 6.0)
-    lag = THETAS - share * np.angle(factor)
-    modulus = np.abs(factor) ** n
-    # of a matrix two rows shrink, and the third with them where it is their cross product
-    third = modulus**4 - 1.0 if representation == "dcm_rows" else 0.0
-    norm_error = np.sqrt(2.0 * (modulus**2 - 1.0) ** 2 + third**2)
-    norm_error = modulus - 1.0 if representation == "quat" else norm_error
-    assert traj.norm_error[-1] == pytest.approx(norm_error, rel=1e-12, abs=30 * n * EPS)
-    left = traj.status & fa.Status.NORM_LOST != 0
-    assert left.tolist() == (np.abs(norm_error) > 1e-3).tolist()
-
-    found = fa.quat_to_rotation_vector(mul(exp(-n * w), traj.q[-1]))[:, 2]
-    wrong = np.abs(found - np.angle(np.exp(-1j * n * lag)))
-    # the length of a quaternion does not touch its attitude; that of rows does, unless it is small
-    assert wrong[:3].max() < 30 * n * EPS
-    if share == 2.0:
-        assert wrong.max() < 30 * n * EPS
-
-    # the leading terms, within the next ones
-    small = THETAS <= 0.2
-    assert lag[small] == pytest.approx(THETAS[small] ** 5 / angle_5, rel=0.05)
-    assert (1.0 - np.abs(factor))[small] == pytest.approx(THETAS[small] ** 6 / norm_6, rel=0.05)
-
-
 # a constant rate
-
-
-AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
-
-
-@each(("method", "representation"), some(combinations(exponential=True)))
-def test_exponentials_are_exact_for_a_constant_rate(method, representation):
-    """At any angle, though a step is vouched for up to the limit only where the rate may vary."""
-    sizes = np.array([0.0, 1e-160, 1e-9, 0.06, 1.0, 2.2])
-    w = np.outer(sizes, AXIS)
-    start = np.broadcast_to(START, (len(w), 4))
-    n = 10
-    traj = fa.propagate(
-        steady(w).scene, start, dt=1.0, n_steps=n, method=method, representation=representation
-    )
-    expected = mul(START, exp(n * w))
-    # cg3's largest turn is longer than the step
-    past = sizes * (24.0 / 17.0 if method == "cg3" else 1.0) > fa.METHODS[method].limit("quat")
-    assert (traj.status == np.where(past, fa.Status.STEP_TOO_LARGE, 0)).all()
-    # each step rounds the state and the angle, a few ulps of 1 and of 3 rad
-    assert angle(traj.q[-1], expected).max() < n * 12 * EPS
 
 
 # time reversal
@@ -211,9 +108,9 @@ def test_record_is_complete(record):
 
 @pytest.mark.parametrize("representation", ["quat", "dcm", "dcm_rows", "euler313"])
 def test_methods_for_a_representation(representation):
-    names = fa.methods_for(BODIES.scene, representation)
+    names = methods_for(BODIES.scene, representation)
     assert names == [m.name for m in METHODS if representation in m.representations]
-    assert set(names) <= set(fa.methods_for(BODIES.scene))
+    assert set(names) <= set(methods_for(BODIES.scene))
 
 
 SCENES = {

@@ -9,11 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from each import each
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt import angle_between as angle
-from fastatt.propagation.breakpoints import corners_of
+from fastatt.propagation.breakpoints import breaks_within, corners_of
 
 J = np.array((2.0, 1.0, 2.0 / 3.0))
 W0 = np.array((0.1, 0.2, 0.3))
@@ -128,10 +129,10 @@ def test_at_begin_and_end(scene):
     exact.append(truth(exact[0], 2.5, 3.707))
     w = [None if scene.kind == "rate" else x[4:] for x in exact]
     method = "gauss12" if scene.kind == "rate" else "rk9"
-    there = fa.propagate(scene, exact[0][:4], w[0], t0=2.5, dt=0.1, t_end=1.207, method=method)
+    there = fa.propagate(scene, exact[0][:4], w[0], t0=2.5, dt=0.1, t_end=3.707, method=method)
     assert angle(there.q[-1], exact[1][:4]) < 1e-13
     assert there.t[-1] == 3.707
-    back = fa.propagate(scene, exact[1][:4], w[1], t0=3.707, dt=-0.1, t_end=-1.207, method=method)
+    back = fa.propagate(scene, exact[1][:4], w[1], t0=3.707, dt=-0.1, t_end=2.5, method=method)
     assert angle(back.q[-1], exact[0][:4]) < 1e-13
 
 
@@ -163,39 +164,11 @@ def ensemble(n=N):
     return rng.normal(size=(n, 4)), rng.normal(size=(n, 3))
 
 
-@pytest.mark.parametrize(("method", "bound"), [("rk4", 1e-4), ("rk8", 1e-11), ("strang2", 0.03)])
-def test_per_body_steps(method, bound):
-    q0, w0 = ensemble()
-    counts = np.random.default_rng(5).integers(80, 160, size=N)
-    counts[3] = 100  # 2.5 s ends one of its steps
-    run = fa.propagate(OPEN, q0, w0, dt=END / counts, n_steps=counts, method=method)
-    fine = fa.propagate(OPEN, q0, w0, dt=END / 4000, n_steps=4000, method="rk8")
-    assert angle(run.q[-1], fine.q[-1]).max() < bound
-
-
 def same(a, b):
     np.testing.assert_array_equal(a.t, b.t)
     np.testing.assert_array_equal(a.q, b.q)
     np.testing.assert_array_equal(a.w, b.w)
     np.testing.assert_array_equal(a.status, b.status)
-
-
-def test_velocity_and_position():
-    """A force that jumps; what moves is split into two runs by hand."""
-
-    def scene(force, breakpoints=()):
-        return fa.Scene(inertia=J, mass=3.0, force=force, breakpoints=breakpoints)
-
-    jumps = scene(lambda t, q, w, v, p: ((2.0 if t < 1.234 else -1.0), 0.1 * v[1], 0.0), 1.234)
-    begin = scene(lambda t, q, w, v, p: (2.0, 0.1 * v[1], 0.0))
-    end = scene(lambda t, q, w, v, p: (-1.0, 0.1 * v[1], 0.0))
-    start = {"v0": (0.1, 0.2, 0.3), "r0": (0.0, 0.0, 0.0), "method": "rk8"}
-    run = fa.propagate(jumps, START, W0, **start, dt=0.1, n_steps=30)
-    half = fa.propagate(begin, START, W0, **start, dt=1.234 / 40, n_steps=40)
-    start |= {"v0": half.v[-1], "r0": half.r[-1]}
-    rest = fa.propagate(end, half.q[-1], half.w[-1], **start, dt=1.766 / 40, n_steps=40)
-    np.testing.assert_allclose(run.r[-1], rest.r[-1], atol=1e-13)
-    np.testing.assert_allclose(run.v[-1], rest.v[-1], atol=1e-13)
 
 
 SAMPLES = np.random.default_rng(2).normal(size=(11, 3))
@@ -328,7 +301,7 @@ def test_corners_of_forces_commands_and_declared_ones():
     near = np.nextafter(SAMPLED_AT[3], 9.0)
     scene = fa.Scene(inertia=J, torque=wheels, mass=1.0, force=force, breakpoints=(near, 0.77))
     wanted = np.union1d(np.union1d(UNEVEN, SAMPLED_AT), 0.77)
-    np.testing.assert_array_equal(corners_of(scene), wanted)
+    np.testing.assert_array_equal(breaks_within(scene, -1.0, 9.0).times[1:], wanted)
     # a controller that is sampled reads its table at sample times alone
     held = fa.torques.SampledControl(fa.torques.Constant(LINEAR), 0.7)
     assert corners_of(fa.Scene(inertia=J, torque=held)).size == 0
@@ -393,15 +366,46 @@ def test_t_end_elsewhere():
     assert run.t[-1] == END
     closed = fa.propagate(scene, q0, w0, dt=0.3, t_end=END, method="exact")
     assert angle(closed.q[-1], exact).max() < 1e-14
-    assert fa.propagate(scene, q0, w0, dt=0.3, t_end=0.0).t.tolist() == [0.0]
+    assert fa.propagate(scene, q0, w0, dt=0.3, n_steps=0).t.tolist() == [0.0]
     assert fa.propagate(scene, q0, w0, dt=0.3, t_end=0.1, method="rk9").t.tolist() == [0.1]
+
+
+@each("t0", [0.0, 100.0, -3.0, 1.7e9])
+@each("sign", [1.0, -1.0])
+def test_t_end_is_a_time(t0, sign):
+    """Whole steps are recognised within the rounding of the two times."""
+    scene, dt = fa.Scene(inertia=J), 0.1 * sign
+    for length, n in ((60.3, 603), (60.31, 604)):
+        t_end = t0 + sign * length
+        for method in ("rk8", "exact"):
+            run = fa.propagate(scene, START, W0, dt=dt, t0=t0, t_end=t_end, method=method)
+            steps = fa.propagate(scene, START, W0, dt=dt, t0=t0, n_steps=n, method=method)
+            exact = fa.closed_form.free_body(START, W0, J, t_end - t0)[0]
+            assert angle(run.q[-1], exact) < 1e-6
+            assert abs(run.t[-1] - t_end) <= np.spacing(abs(t_end))
+            assert (run.q == steps.q).all() == (n == 603)
+        own = fa.propagate(
+            scene, [START] * 2, W0, dt=[dt, 0.5 * dt], t0=t0, t_end=t_end, method="rk8"
+        )
+        assert angle(own.q[-1], exact).max() < 1e-6
+        assert own.t[-1] == t_end
+    with pytest.raises(ValueError, match=r"t_end: found .*; accepted: a time (after|before) t0"):
+        fa.propagate(scene, START, W0, dt=dt, t0=t0, t_end=t0)
+    with pytest.raises(ValueError, match=r"t_end: found .*; accepted: a time (after|before) t0"):
+        fa.propagate(scene, START, W0, dt=-dt, t0=t0, t_end=t0 + sign)
+
+
+def test_a_last_step_below_the_rounding_of_times_is_taken():
+    run = fa.propagate(fa.Scene(inertia=J), START, W0, dt=0.1, t0=1.7e9, t_end=1.7e9 + 1e-6)
+    assert run.t[-1] == 1.7e9 + 1e-6
 
 
 def test_saves_alone_end_the_run():
     scene, start = fa.Scene(inertia=J), ([1.0, 0.0, 0.0, 0.0], W0)
     for dt, at in ((0.1, [0.8, 2.57]), (-0.1, [0.5, -3.0]), (0.1, [0.5])):
         run = fa.propagate(scene, *start, dt=dt, save_at=at, t0=0.5, method="rk9")
-        same = fa.propagate(scene, *start, dt=dt, t_end=at[-1] - 0.5, t0=0.5, method="rk9")
+        until = {"n_steps": 0} if at == [0.5] else {"t_end": at[-1]}
+        same = fa.propagate(scene, *start, dt=dt, **until, t0=0.5, method="rk9")
         assert run.t.tolist() == at
         assert same.t.tolist() == at[-1:]
         assert angle(run.q[-1], same.q[-1]) == 0.0
@@ -413,8 +417,8 @@ def test_saves_alone_end_the_run():
     ("options", "text"),
     [
         ({}, "n_steps, t_end: found neither"),
-        ({"n_steps": 3, "t_end": 1.0}, "n_steps, t_end: found both"),
-        ({"t_end": -1.0}, "t_end: found -1.0 with dt 0.1; accepted: of the sign of dt"),
+        ({"n_steps": 3, "t_end": 1.0}, "n_steps: found with t_end; accepted: one of"),
+        ({"t_end": -1.0}, "t_end: found -1.0; accepted: a time after t0, 0.0"),
         ({"t_end": np.inf}, "t_end: found inf; accepted: a finite number"),
     ],
 )
@@ -453,7 +457,7 @@ def test_a_function_that_is_not_traced():
         return 0.3 + on, 0.2 * t, 0.1 - on * t
 
     scene = turning(called)
-    assert not scene.functions[0].straight
+    assert not scene.functions[0].followed
     for options in ({}, {"save_at": [END]}):
         run = fa.propagate(scene, START, dt=0.05, n_steps=100, method="magnus8", **options)
         assert angle(run.q[-1], RATE_END) < 1e-13

@@ -55,13 +55,6 @@ def test_orthogonality_of_a_matrix(representation):
     assert (ratio > 12.0).all()
 
 
-@pytest.mark.parametrize("representation", ["euler313", "rotation_vector"])
-def test_coordinates_cannot_leave_the_group(representation):
-    d = fa.drift(run("rk4", representation), BODIES.scene)
-    assert d.norm.max() < 4 * EPS
-    assert d.orthogonality.max() < 12 * EPS
-
-
 def test_angle_to_a_reference():
     traj = run("magnus4")
     d = fa.drift(traj, BODIES.scene)
@@ -72,20 +65,6 @@ def test_angle_to_a_reference():
     assert d.angle_to(fa.quat_to_dcm(reference)) == pytest.approx(found, abs=20 * EPS)
     assert d.angle_to(START).shape == (5, 3)
     assert d.angle_to(traj.q).max() == 0.0
-
-
-def test_one_body_has_no_axis_of_bodies():
-    traj = run("magnus4", q0=START, scene=BODIES.shared)
-    d = fa.drift(traj, BODIES.shared)
-    assert d.norm.shape == d.orthogonality.shape == d.angle_to(START).shape == (5,)
-
-
-@pytest.mark.parametrize(("trajectory", "scene"), [("traj", None), (None, BODIES.scene)])
-def test_refuses_what_is_neither(trajectory, scene):
-    trajectory = run("magnus4") if trajectory else trajectory
-    name = "scene" if scene is None else "run"
-    with pytest.raises(TypeError, match=rf"{name}: found None; accepted"):
-        fa.drift(trajectory, scene)
 
 
 def test_momentum_along_a_uniform_field():
@@ -132,10 +111,11 @@ def test_summary_has_maxima_and_reasons():
 def test_a_body_that_is_lost_leaves_the_others_theirs():
     top = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.2), 1.0))
     w0 = np.ones((3, 3))
-    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "invalid": "flag", "save_every": 2}
+    options = {"dt": 0.05, "n_steps": 4, "method": "rk4", "save_every": 2}
     for scene in (top, fa.Scene(inertia=(2.0, 1.0, 0.7))):
         well = fa.drift(fa.propagate(scene, START3, w0, **options), scene)
-        lost = fa.propagate(scene, START3, [w0[0], [np.nan] * 3, w0[2]], **options)
+        with pytest.warns(fa.StepWarning):
+            lost = fa.propagate(scene, START3, [w0[0], [1e200] * 3, w0[2]], **options)
         found = fa.drift(lost, scene)
         for name in ("norm", "energy", "momentum"):
             before, now = getattr(well, name), getattr(found, name)
@@ -165,6 +145,13 @@ def test_momentum_of_a_slew_from_rest_is_relative_to_that_of_the_body(n):
 
 
 def test_momentum_of_a_body_at_rest_with_a_rotor_is_relative_to_that_of_the_rotor():
-    scene = fa.Scene(inertia=(4.0, 3.0, 2.0), torque=fa.torques.Rotor((0.0, 0.0, 1e-3)))
-    still = fa.propagate(scene, START, [1e-9, 0.0, 0.0], dt=0.1, n_steps=50, save_every=5)
-    assert fa.drift(still, scene).momentum.max() < 1e-13
+    """A wheel too."""
+    idle = fa.torques.ReactionWheels(np.eye(3), 0.02)
+    for torque, start in (
+        (fa.torques.Rotor((0.0, 0.0, 1e-3)), {}),
+        (idle, {"s0": [0.0, 0.0, 1e-3]}),
+    ):
+        scene = fa.Scene(inertia=(4.0, 3.0, 2.0), torque=torque)
+        options = {**start, "dt": 0.1, "n_steps": 50, "save_every": 5}
+        still = fa.propagate(scene, START, [1e-9, 0.0, 0.0], **options)
+        assert fa.drift(still, scene).momentum.max() < 1e-13

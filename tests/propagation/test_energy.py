@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import rigid_oracle as ro
-from exact import EPS, START, angle
+from exact import EPS, START
 from numba import njit
 
 import fastatt as fa
+from fastatt.propagation.energy import potential_energy
 
 N = 5
 RNG = np.random.default_rng(11)
@@ -43,15 +43,6 @@ def test_momentum_and_kinetic_energy(inertia):
             assert energy[s, b] == pytest.approx(0.5 * W[s, b] @ expected, rel=1e-14)
 
 
-def test_symmetric_top_in_its_angles():
-    angles, rates = RNG.uniform(0.2, 2.0, (4, 3)), RNG.normal(size=(4, 3))
-    for a, d in zip(angles, rates, strict=True):
-        energy = fa.kernels.rigid.kinetic_energy_symmetric(tuple(a), tuple(d), (0.8, 1.1))
-        w = fa.kernels.euler313.rate(tuple(a), tuple(d))
-        assert energy == pytest.approx(fa.kinetic_energy(w, (0.8, 0.8, 1.1)), rel=1e-14)
-        assert energy == pytest.approx(float(ro.top_energy(0.8, 1.1, a[1], *d)), rel=1e-14)
-
-
 @njit
 def pulling(t, q, w, p):
     return 2.0 * p[0] * (q[0] * q[1] + q[2] * q[3]), 2.0 * p[0] * (q[0] * q[2] - q[1] * q[3]), 0.0
@@ -80,8 +71,8 @@ def test_potentials(name, inertia):
     """All four are C33 of a unit weight at e3, in body axes that need not be principal."""
     scene = fa.Scene(inertia=inertia, torque=TORQUES[name])
     expected = fa.quat_to_dcm(Q)[..., 2, 2]
-    assert np.abs(fa.potential_energy(scene, Q) - expected).max() < 8 * EPS
-    assert fa.potential_energy(scene, 1.3 * Q[0, 0]) == pytest.approx(expected[0, 0], abs=8 * EPS)
+    assert np.abs(potential_energy(scene, Q) - expected).max() < 8 * EPS
+    assert potential_energy(scene, 1.3 * Q[0, 0]) == pytest.approx(expected[0, 0], abs=8 * EPS)
 
 
 def test_drift_under_a_weight():
@@ -90,7 +81,7 @@ def test_drift_under_a_weight():
     one = fa.propagate(scene, START, W[0, 0], dt=0.05, n_steps=100, save_every=10, method="rk4")
     drift = fa.drift(one, scene)
     kinetic = fa.kinetic_energy(one.w, scene.inertia)
-    total = kinetic + fa.potential_energy(scene, one.q[:, None], one.t)[:, 0]
+    total = kinetic + potential_energy(scene, one.q[:, None], one.t)[:, 0]
     assert drift.energy.shape == (11,)
     assert drift.energy == pytest.approx(np.abs(total - total[0]) / kinetic.max(), abs=1e-16)
     assert 1e-12 < drift.energy.max() < 1e-4
@@ -127,8 +118,6 @@ def test_drift_that_is_not_defined():
     traj = fa.propagate(damped, START, W[0, 0], dt=0.1, n_steps=1, save_every=1, method="rk4")
     assert fa.drift(traj, damped).energy is None
     assert fa.drift(traj, damped).momentum is None
-    with pytest.raises(ValueError, match="scene: its torque has no potential"):
-        fa.potential_energy(damped, START)
 
 
 def test_refusals():
@@ -142,19 +131,3 @@ def test_refusals():
 
 
 # the closed form as a method
-
-
-@pytest.mark.parametrize("representation", ["quat", "dcm"])
-@pytest.mark.parametrize("inertia", SHAPES.values(), ids=SHAPES)
-def test_closed_form_as_a_method(inertia, representation):
-    scene = fa.Scene(inertia=inertia)
-    q0 = np.tile(START, (N, 1))
-    traj = fa.propagate(
-        scene, q0, W[0], dt=0.25, n_steps=7, save_every=3, t0=5.0, representation=representation
-    )
-    assert traj.method == "exact"
-    assert traj.t == pytest.approx([5.0, 5.75, 6.5, 6.75])
-    q, w = fa.closed_form.free_body(q0, W[0], inertia, [0.0, 0.75, 1.5, 1.75])
-    assert angle(traj.q, q).max() < 8 * EPS
-    assert np.array_equal(traj.w, w)
-    assert not traj.status.any()

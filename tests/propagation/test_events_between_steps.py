@@ -70,7 +70,7 @@ def test_save_at_has_the_bits_of_whole_steps(reference, name, method):
     times = np.sort(np.concatenate([TIMES, after[after < END]]))
     found = run(events, method=method, save_at=times)
     np.testing.assert_array_equal(found.event_times, whole.event_times)
-    assert not found.has_flags
+    assert not found.status.any()
     np.testing.assert_array_equal(found.q[np.searchsorted(found.t, whole.t)], whole.q)
     for k in range(N) if name == "stops" else ():
         assert_stopped(found, k)
@@ -88,7 +88,7 @@ def test_per_body_step_sizes(reference, name):
 def test_per_body_steps_of_a_run_backwards(reference):
     start = reference["free"]
     back = fa.propagate(
-        BODY, start.q[-1], start.w[-1], t0=END, dt=-SIZES, t_end=-END, method="rk8",
+        BODY, start.q[-1], start.w[-1], t0=END, dt=-SIZES, t_end=0.0, method="rk8",
         events=[fa.event(first_rate, terminal=True)], save_at=TIMES[::-1],
     )  # fmt: skip
     forward = fa.propagate(
@@ -128,7 +128,7 @@ def test_steps_after_the_end_of_a_body_set_no_status():
     found = fa.propagate(
         spin_up, Q0[:2], [0.0, 0.0, 0.0], events=[fa.event(lambda t, q, w, p: w[2] - 1.0)], **given
     )
-    assert not found.has_flags
+    assert not found.status.any()
     np.testing.assert_allclose(found.event_times, 1.0, rtol=0.0, atol=1e-12)
 
 

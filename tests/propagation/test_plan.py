@@ -198,7 +198,6 @@ def test_wrong_numbers():
         (N, {"dt": 0.0}, "dt: found 0"),
         (N, {"n_steps": -1}, "n_steps: found -1"),
         (N, {"position": True}, "position: found True, but this scene has no mass"),
-        (N, {"invalid": "pass"}, "invalid: found 'pass'"),
         (N, {"dtype": "f2"}, "dtype: found 'f2'"),
         (N, {"n_threads": 0}, "n_threads: found 0"),
     ],
@@ -206,3 +205,28 @@ def test_wrong_numbers():
 def test_wrong_plans(n, options, message):
     with pytest.raises((ValueError, TypeError), match=message):
         fa.plan(SCENES["free"], n, **{"dt": 0.05, "n_steps": 3, **options})
+
+
+def test_a_plan_to_a_time_has_its_start():
+    """With a number of steps its calls may begin at any time."""
+    scene, w0 = SCENES["torqued"], W0
+    ends = {"t_end": 100.33}, {"save_at": [100.1]}, {"save_at": [100.1], "n_steps": 3}
+    for end in ends:
+        options = {"t0": 100.0, "dt": 0.05, "method": "rk4", **end}
+        plan = fa.plan(scene, N, **options)
+        assert bits(plan(Q0, w0)) == bits(fa.propagate(scene, Q0, w0, **options))
+        assert bits(plan(Q0, w0, t0=100.0)) == bits(plan(Q0, w0))
+        with pytest.raises(ValueError, match=r"t0: found 0\.0 in a plan with t_end.*: 100\.0"):
+            plan(Q0, w0, t0=0.0)
+    plan = fa.plan(scene, N, dt=0.05, n_steps=3, method="rk4", t0=7.0)
+    assert plan(Q0, w0).t.tolist() == [7.15]
+    assert plan(Q0, w0, t0=8.0).t.tolist() == [8.15]
+
+
+def test_plans_of_what_a_run_takes():
+    scene, event = SCENES["torqued"], fa.event(lambda t, q, w, p: w[0])
+    own = {"dt": 0.3 / np.arange(3, 3 + N), "n_steps": np.arange(3, 3 + N)}
+    for options in (own, {"dt": 0.1, "n_steps": 9, "events": event, "save_at": [0.33, 0.8]}):
+        plan = fa.plan(scene, N, method="rk4", **options)
+        run = fa.propagate(scene, Q0, W0, method="rk4", **options)
+        assert bits(plan(Q0, W0)) == bits(run)

@@ -13,6 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
+from fastatt.propagation.choice_of_method import methods_for
 
 N = 40
 BREAKS, END, DT = (0.83, 1.91, 2.5, 3.333), 4.0, 0.02
@@ -160,7 +161,7 @@ def reference():
 
 def test_states_breakpoints_and_events_are_those_of_dop853(reference):
     ends, times = reference
-    assert all(f.straight for f in SCENE.functions)
+    assert all(f.followed for f in SCENE.functions)
     run = fa.propagate(SCENE, **START, dt=DT, t_end=END, method="rk8", events=EVENTS)
     assert largest(run, ends) < 1e-11
     np.testing.assert_allclose(run.event_times, times, rtol=0.0, atol=1e-9)
@@ -186,7 +187,7 @@ RALSTON = fa.runge_kutta(
 LADDERS = {"rk4": (80, 160), "rk8": (10, 20), "rk9": (8, 16), "gbs16": (4, 6), RALSTON: (80, 160)}
 
 
-@pytest.mark.parametrize("method", [*fa.methods_for(SCENE), RALSTON], ids=str)
+@pytest.mark.parametrize("method", [*methods_for(SCENE), RALSTON], ids=str)
 def test_order_across_breakpoints_with_states(method, reference):
     """The largest error of the ensemble falls as local errors of all parts of steps do together."""
     steps = LADDERS[method]

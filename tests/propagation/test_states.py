@@ -101,35 +101,10 @@ def test_systems_agree_with_scipy(name):
     function, usual, start = SYSTEMS[name]
     scene = scene_of(name)
     assert scene.states == len(start)
-    assert all(f.straight for f in scene.functions)
+    assert all(f.followed for f in scene.functions)
     run = fa.propagate(scene, Q0, W0, s0=start, dt=0.02, n_steps=200, t0=1.0, method="rk8")
     assert run.s.shape == (1, len(start))
     assert apart(run, truth(function, usual, (Q0, W0, start), 4.0, 1.0)) < 1e-9
-
-
-# numbers of steps of 4 s whose errors are above what rounding and the reference leave
-LADDERS = ((80, 160), (20, 40), (10, 20), (4, 6), (160, 320))
-
-
-ORDERS = [("flexible", *case) for case in zip(METHODS, LADDERS, strict=True)]
-ORDERS += [("integral", "rk4", LADDERS[0])]
-# of another system a method of few stages, which is quick to compile
-ORDERS += [("integral", *case[1:]) for case in ORDERS if case[1] in ("rk4", RALSTON)]
-
-
-@pytest.mark.parametrize(("name", "method", "steps"), ORDERS, ids=str)
-def test_order_is_that_of_the_method(name, method, steps):
-    function, params, start = SYSTEMS[name]
-    body = Q0, 8.0 * W0
-    wanted = truth(function, params, (*body, start), 4.0)
-    errors = []
-    for n in steps:
-        run = fa.propagate(scene_of(name), *body, s0=start, dt=4.0 / n, n_steps=n, method=method)
-        errors.append(apart(run, wanted))
-    order = method.order if isinstance(method, fa.Method) else fa.METHODS[method].order
-    found = math.log(errors[0] / errors[1]) / math.log(steps[1] / steps[0])
-    assert errors[1] > 5e-11
-    assert found > 0.85 * order
 
 
 def turning(t, s, p):
@@ -158,39 +133,6 @@ def test_rates_carry_states(frame):
         np.testing.assert_allclose(run.w[-1], w, atol=1e-14)
 
 
-def slosh(t, q, w, v, r, s, p):
-    """A mass on a spring that velocity and position drive too."""
-    return (p[0] * s[0], 0.1 * v[1], 0.05 * r[2]), (s[1], -s[0] + 0.2 * v[0] - 0.1 * r[1] * w[2])
-
-
-def test_velocity_and_position_are_one_system_with_states():
-    params, mass = (0.3,), 2.0
-    force = np.array([0.1, -0.2, 0.3])
-    v0, r0, s0 = np.array([0.5, 0.1, -0.2]), np.array([1.0, -2.0, 0.5]), np.array([0.1, 0.2])
-    scene = fa.Scene(
-        inertia=J,
-        torque=fa.torques.Custom(slosh, params, uses_position=True, states=2),
-        mass=mass,
-        force=fa.forces.Constant(force),
-    )
-
-    def slope(t, y):
-        q, w, v, r, s = np.split(y, (4, 7, 10, 13))
-        torque, change = slosh(t, q, w, v, r, s, params)
-        spin = np.linalg.solve(J, np.array(torque) - np.cross(w, J @ w))
-        push = force / mass - np.cross(w, v)
-        unit = q / np.linalg.norm(q)
-        return np.concatenate([kinematics(q, w), spin, push, fa.quat_rotate(unit, v), change])
-
-    start = np.concatenate([Q0, W0, v0, r0, s0])
-    y = solve_ivp(slope, (0.0, 4.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    run = fa.propagate(
-        scene, Q0, W0, v0=v0, r0=r0, s0=s0, dt=0.02, n_steps=200, method="rk8", representation="dcm"
-    )
-    for name, part in zip("wvrs", np.split(y[4:], (3, 6, 9)), strict=True):
-        np.testing.assert_allclose(getattr(run, name)[-1], part, atol=1e-10)
-
-
 def valve(t, q, w, s, p):
     """A valve that opens with a lag, and the propellant that has flowed through it."""
     return (0.0, p[1] * s[0], 0.0), (p[0] * (1.0 - s[0]), s[0])
@@ -201,7 +143,7 @@ def thrust(t, q, w, v, s, p):
 
 
 def test_a_force_reads_the_states():
-    """The thrust and its torque come from one state; alone, in a sum, and called."""
+    """The thrust and its torque come from one state: traced, and called in a sum."""
 
     @njit
     def counted(t, q, w, v, s, p):
@@ -211,17 +153,10 @@ def test_a_force_reads_the_states():
             n += 1
         return 0.0 * n, -0.2 * v[1], p[0] * s[0] / (1.0 - 0.1 * s[1])
 
-    def slope(t, y):
-        q, w, v, s = np.split(y, (4, 7, 10))
-        torque, change = valve(t, q, w, s, (2.0, 0.3))
-        spin = np.linalg.solve(J, np.array(torque) - np.cross(w, J @ w))
-        push = np.array(thrust(t, q, w, v, s, (1.5,))) / 2.0 - np.cross(w, v)
-        return np.concatenate([kinematics(q, w), spin, push, change])
-
     v0, s0 = np.array([0.5, 0.1, -0.2]), np.array([0.1, 0.0])
-    start = np.concatenate([Q0, W0, v0, s0])
-    y = solve_ivp(slope, (0.0, 4.0), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     nothing = fa.forces.Constant((0.0, 0.0, 0.0))
+    options = {"v0": v0, "s0": s0, "dt": 0.02, "n_steps": 200, "method": "rk8"}
+    runs = []
     for force in (
         lambda t, q, w, v, s, p: thrust(t, q, w, v, s, (1.5,)),
         fa.forces.Sum((nothing, fa.forces.Custom(counted, (1.5,)))),
@@ -229,9 +164,10 @@ def test_a_force_reads_the_states():
         scene = fa.Scene(
             inertia=J, torque=valve, states=2, params=(2.0, 0.3), mass=2.0, force=force
         )
-        run = fa.propagate(scene, Q0, W0, v0=v0, s0=s0, dt=0.02, n_steps=200, method="rk8")
-        for name, part in zip("wvs", np.split(y[4:], (3, 6)), strict=True):
-            np.testing.assert_allclose(getattr(run, name)[-1], part, atol=1e-10)
+        runs.append(fa.propagate(scene, Q0, W0, **options))
+    for name in "wvs":
+        traced, called = (getattr(run, name) for run in runs)
+        np.testing.assert_allclose(traced, called, rtol=0.0, atol=1e-13)
 
 
 def test_a_force_at_a_rate_reads_its_states():
@@ -334,7 +270,7 @@ def test_a_function_that_is_called_gives_the_same():
     runs, options = [], {"s0": [0.3], "dt": 0.05, "n_steps": 40, "method": "rk4"}
     for function in counted, lambda t, q, w, s, p: ((0.0, p[0] * s[0], 0.0), w[0] - s[0]):
         scene = fa.Scene(inertia=J, torque=function, states=1, params=(0.4,))
-        assert scene.functions[0].straight == (function is not counted)
+        assert scene.functions[0].followed == (function is not counted)
         runs.append(fa.propagate(scene, Q0, W0, **options))
     np.testing.assert_allclose(runs[0].s, runs[1].s, atol=1e-14)
     np.testing.assert_allclose(runs[0].w, runs[1].w, atol=1e-14)
@@ -379,7 +315,8 @@ def test_states_that_are_lost_flag_their_body_alone():
     scene, given = scene_of("integral"), {**MANY, **STEPS}
     with pytest.raises(ValueError, match=r"^s0\[5, 1\] is nan"):
         fa.propagate(scene, **given | {"s0": s0})
-    run = fa.propagate(scene, **given | {"s0": s0}, invalid="flag")
+    s0[5, 1] = 1e308
+    run = fa.propagate(scene, **given | {"s0": s0})
     assert np.flatnonzero(run.status).tolist() == [5]
     assert run.status[5] & fa.Status.NON_FINITE
     others = np.arange(N) != 5

@@ -14,7 +14,8 @@ from oracle import floats
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.kernels import quat, vec3
-from fastatt.scene.coupled import Coupled
+from fastatt.propagation.choice_of_method import methods_for
+from fastatt.scene.equations import Coupled
 
 INERTIA = (2.0, 1.0, 2.0 / 3.0)
 TENSOR = np.array([[2.0, 0.2, 0.1], [0.2, 2.5, -0.3], [0.1, -0.3, 3.0]])
@@ -83,7 +84,7 @@ STEPS = {"rk4": (60, 120), "rk8": (40, 60), "rk9": (20, 40), "gbs16": (9, 14)}
 
 
 def test_which_methods_fit():
-    assert fa.methods_for(COUPLED) == list(STEPS)
+    assert methods_for(COUPLED) == list(STEPS)
 
 
 @pytest.fixture(scope="module")
@@ -109,17 +110,6 @@ def test_order_of_every_part(method, coupled_end):
     assert (errors[1] > 1000 * EPS).all()
     orders = np.log(errors[0] / errors[1]) / math.log(n[1] / n[0])
     assert (orders > fa.METHODS[method].order - 0.5).all(), orders
-
-
-def test_a_quaternion_that_is_not_quite_unit_moves_the_body_as_far():
-    packed = COUPLED.packed(None)
-    motion = Coupled(QUATERNION, packed.structure, tuple(packed.params.tolist()), 1.0)
-    beside = *SPIN.tolist(), *V0.tolist(), *R0.tolist()
-    unit, longer = (
-        np.array(motion.field(motion.at(0.0), (*(k * START).tolist(), *beside)))
-        for k in (1.0, 1.0 + 1e-4)
-    )
-    assert np.abs(unit - longer)[-6:].max() < 1e-7
 
 
 # a planet
@@ -258,34 +248,6 @@ def test_spring_at_an_offset_point():
     assert found == pytest.approx(np.abs(total - total[0]) / (turning + moving).max(), abs=16 * EPS)
 
 
-def test_each_body_has_its_own():
-    """Rows of all that acts, resumed, planned, saved between steps, and by single steps."""
-    rng = np.random.default_rng(3)
-    p, mass = np.array(P) * rng.uniform(0.5, 1.5, (3, 4)), rng.uniform(1, 2, 3)
-    scene = spring(INERTIA, mass, p)
-    q0, w0, v0 = np.tile(START, (3, 1)), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
-    given = {"v0": v0, "r0": R0}
-    usual = {"dt": 0.05, "n_steps": 12, "method": "rk4"}
-    traj = fa.propagate(scene, q0, w0, **given, **usual, save_every=6)
-
-    def same(other, k=-1):
-        return all(np.array_equal(getattr(other, x)[-1], getattr(traj, x)[k]) for x in "qwvr")
-
-    half = fa.propagate(scene, q0, w0, **given, **usual | {"n_steps": 6})
-    assert same(half, 1)
-    assert same(fa.resume(scene, half, n_steps=6))
-    assert same(fa.plan(scene, 3, **usual)(q0, w0, **given))
-    own = {"dt": [0.05, 0.025, 0.05], "n_steps": [12, 24, 12], "save_at": [0.33, 0.6]}
-    mixed = fa.propagate(scene, q0, w0, **given, **usual | own)
-    assert np.abs(mixed.r[-1] - traj.r[-1])[[0, 2]].max() < 8 * EPS
-    assert 1e-9 < np.abs(mixed.r[-1] - traj.r[-1])[1].max() < 1e-4
-    step = fa.single_step(spring(INERTIA, mass[1], p[1]), method="rk4")
-    x = step.state(START, w0[1], v0[1], R0)
-    for k in range(12):
-        x = step(0.05 * k, 0.05, x)
-    assert np.abs(np.array(step.read(x, step.params)[1][6:]) - traj.r[-1, 1]).max() < 8 * EPS
-
-
 # refusals
 
 
@@ -315,7 +277,3 @@ def test_refusals():
         replace(COUPLED, torque=braking)
     with pytest.raises(ValueError, match=r"CentralGravity\.gravitational_parameter is -1.0; acc"):
         fa.Scene(inertia=INERTIA, mass=1.0, force=fa.forces.CentralGravity(-1.0))
-    with pytest.raises(ValueError, match="r: found none; accepted of this scene's torque: pos"):
-        fa.potential_energy(spring(), START)
-    with pytest.raises(ValueError, match="r: found positions; accepted of this scene's torque: n"):
-        fa.potential_energy(fa.Scene(inertia=INERTIA), START, r=R0)

@@ -230,10 +230,7 @@ EMPTY = [
     (lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)), "Constant.w has shape (0, 3) and is empty"),
     (lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)), "Coning.angle has shape (0,) and is empty"),
     (lambda: fa.Scene(rate=given_rate, params=NOTHING), "params: has shape (0, 3) and is empty"),
-    (
-        lambda: fa.Scene(inertia=(1, 1, 1), mass=[], force=(0, 0, 1)),
-        "mass: has shape (0,) and is empty; accepted: a number or (N,), kg",
-    ),
+    (lambda: fa.Scene(inertia=(1, 1, 1), mass=[], force=(0, 0, 1)), "mass: has shape (0,) and is "),
     (
         lambda: fa.propagate(
             fa.Scene(inertia=(1, 1, 1)), np.zeros((0, 4)), (0, 0, 1), dt=1.0, n_steps=1

@@ -15,8 +15,8 @@ from numpy.testing import assert_allclose
 import fastatt as fa
 from fastatt.tracing.user import user_function
 
-PAGE = Path(fa.__file__).parent / "docs" / "guides" / "custom.md"
-ROW = re.compile(r"^\| (`(?:return|out|v|gain|print|x) .*`|`print.*`) \| (\w+) \|$", re.MULTILINE)
+PAGE = Path(fa.__file__).parent / "docs" / "guides" / "functions.md"
+ROW = re.compile(r"^\| (`(?:return|out|v|gain|mode|x|M).*`|`print.*`) \| (\w+) \|$", re.MULTILINE)
 ROWS = [m.groups() for m in ROW.finditer(PAGE.read_text(encoding="utf-8"))]
 HEAD = """import math
 import numpy as np
@@ -39,7 +39,7 @@ def written(code, path):
 
 def test_the_table_is_found():
     assert len(ROWS) == 19
-    assert {says for _, says in ROWS} == {"traced", "compiled", "refused"}
+    assert {says for _, says in ROWS} == {"followed", "called", "refused"}
 
 
 @each("number", range(len(ROWS)))
@@ -52,8 +52,8 @@ def test_the_table_says_what_happens(number, tmp_path):
         assert "\n" not in str(error.value)
         return
     made = user_function(function, "torque", 0)
-    if says == "compiled" or np.lib.NumpyVersion(np.__version__) >= "2.0.0":
-        assert made.straight == (says == "traced")
+    if says == "called" or np.lib.NumpyVersion(np.__version__) >= "2.0.0":
+        assert made.followed == (says == "followed")
     assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-14, atol=1e-15)
     assert "Double" not in repr(made.call(*POINT))
 
@@ -102,17 +102,15 @@ HELD = {
 
 
 @each("name", HELD)
-def test_what_holds_a_function_is_traced(name):
+def test_what_holds_a_function_is_followed(name):
     made = user_function(HELD[name], "torque", 0)
-    assert made.straight
+    assert made.followed
     assert_allclose(made.call(*POINT), HELD[name](*POINT), rtol=1e-15)
 
 
-def test_a_partial_that_is_no_straight_line_is_compiled():
-    function = functools.partial(stepped, 0.1)
-    made = user_function(function, "torque", 0)
-    assert not made.straight
-    assert_allclose(made.call(*POINT), function(*POINT), rtol=1e-15)
+def test_a_partial_that_is_no_straight_line_is_refused():
+    with pytest.raises(TypeError, match=r"is not followed: a loop whose end .* and not compiled: "):
+        user_function(functools.partial(stepped, 0.1), "torque", 0)
 
 
 def halved(x):
@@ -134,7 +132,7 @@ ONE = {
 @each("name", ONE)
 def test_one_number_may_be_in_a_row(name):
     made = user_function(ONE[name], "event", 0)
-    assert made.straight == ("compiled" not in name)
+    assert made.followed == ("compiled" not in name)
     assert_allclose(made.call(*POINT), 0.3 - 1.3, rtol=1e-15)
 
 
@@ -151,14 +149,14 @@ def test_the_command_of_one_wheel_may_be_a_tuple():
         runs.append(fa.propagate(scene, **start, dt=0.1, n_steps=5, method="rk4"))
     np.testing.assert_array_equal(runs[0].s, runs[1].s)
     of_states = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, number_and_slope, states=1)
-    assert fa.Scene(inertia=(2.0, 1.5, 1.0), torque=of_states).functions[0].straight
+    assert fa.Scene(inertia=(2.0, 1.5, 1.0), torque=of_states).functions[0].followed
     two = fa.torques.ReactionWheels([[0.0, 0.0, 1.0]], 0.02, lambda t, q, w, s, p: (t, t))
-    with pytest.raises(TypeError, match=r"^command: .* returns .*; accepted is a float, N·m$"):
+    with pytest.raises(TypeError, match=r"^command: .* that is tuple of 2; accepted: 1 numbers"):
         fa.Scene(inertia=(2.0, 1.5, 1.0), torque=two)
 
 
 def test_a_method_that_counts_is_refused():
-    with pytest.raises(TypeError, match="the attribute calls, which is assigned to") as error:
+    with pytest.raises(TypeError, match="the attribute calls, which changes") as error:
         user_function(Controller(GAIN).counting, "torque", 0)
     assert "\n" not in str(error.value)
 

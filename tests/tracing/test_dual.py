@@ -15,7 +15,7 @@ from oracle import EPS, quat_exp, right_jacobian
 from fastatt.tracing import dual, functions, graph, nodes, source
 from fastatt.tracing.dual import Dual, derivatives, seed, value
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.formulas import dcm, free_body, moser_veselov, quat, rigid, so3, trig
+from fastatt.tracing.formulas import Kernels, dcm, free_body, quat, rigid, so3, trig
 from fastatt.tracing.graph import Double, Graph, Single, flattened
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.trace import traceable
@@ -95,7 +95,7 @@ TERMS = {
     "powers": lambda x, y: x**3 + x**0.5 + y**-2 + y**1 + x**0 + x**1.5,
     "extremes": lambda x, y: min(x, y) * max(x, y) + max(x, 0.1) + min(2.0, y),
     "root": lambda x, y: math.sqrt(x) + np.hypot(x, y),
-    "circular": lambda x, y: math.sin(y) * math.cos(x) + math.tan(y) + np.arctan(y),
+    "circular": lambda x, y: math.sin(y) * math.cos(x) + math.tan(y) + math.atan(y),
     "angle": lambda x, y: math.atan2(y, x) * math.atan2(x, y) + math.atan2(0.3, y),
     "exponential": lambda x, y: np.exp(y) * math.log(x),
     "hyperbolic": lambda x, y: np.tanh(x) * math.sinh(y) + math.cosh(y),
@@ -163,7 +163,7 @@ CHAINS = {
     "symmetric": (symmetric, [(*U, 0.3, -0.2, 0.5, 2.0)]),
     "triaxial": (triaxial, [(*U, 0.3, -0.2, 0.5, 2.0), (*U, 1.0, 1e-3, 1e-4, 10.0)]),
     "modified": (
-        lambda *x: moser_veselov.solve(x[:3], x[3:]),
+        lambda *x: Kernels("moser_veselov").solve(x[:3], x[3:]),
         [(0.05, -0.1, 0.08, 0.3, -0.5, 0.25)],
     ),
 }
@@ -325,8 +325,6 @@ def test_seeds():
     assert (derivatives(a, 4), derivatives(b, 4)) == ((0, 1, 0, 0), (0, 0, 1, 0))
     (known,) = seed((2.0,), 2, like=x[0])
     assert (value(known), derivatives(3.0 * known, 2)) == (2.0, (3.0, 0.0))
-    with pytest.raises(ValueError, match="size: found 2; accepted: at least 3"):
-        seed(x, 2, 1)
     with pytest.raises(TraceError, match="a seed of known numbers alone"):
         seed((1.0, 2.0), 2)
 
@@ -334,9 +332,7 @@ def test_seeds():
 def test_refusals():
     made = Graph()
     x = made.inputs("double", "x", 2)
-    (a,), (b,) = seed(x[:1], 1), seed(x[:1], 2)
-    with pytest.raises(TraceError, match="dual numbers of 1 and 2 directions"):
-        a * b
+    (a,) = seed(x[:1], 1)
     with pytest.raises(TraceError, match="a power that is not known"):
         2.0**a
     with pytest.raises(TraceError, match="a branch on a condition"):

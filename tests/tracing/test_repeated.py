@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
-from numba import njit
-from oracle import EPS
-from test_scalar import MACHINE, SINGLE, TABLE, looked_up
+from test_scalar import SINGLE
 
 from fastatt.codegen.rows import LogFunction, RowFunction
 from fastatt.codegen.scalar import scalar_function
-from fastatt.tracing import dual, functions, graph
-from fastatt.tracing.formulas import axpy, quat, scale
-from fastatt.tracing.traced import Recurrence
+from fastatt.tracing import dual
+from fastatt.tracing.formulas import axpy, quat
 
 
 def normalised(t, x, p):
@@ -48,100 +45,6 @@ def test_rows_of_derivatives():
     true = [[single(tuple(row), (2.0,)) for row in rows] for rows in x.tolist()]
     for a, b in zip(found, range(3), strict=True):
         assert a.tolist() == np.array([[row[b] for row in rows] for rows in true]).tolist()
-
-
-# steps in a loop
-
-TABLE_OF_STEPS = [(0.5, 1.0), (0.25, -2.0), (1.0, 3.0)]
-
-
-def spun(u, k, start):
-    """A rotation in steps of u, whose derivatives come with the first; k and 2 stay."""
-    return (start, 0.0), (k, 2.0)
-
-
-def spin(x, e, row, u, k, start):
-    (q, most), (kept, two) = x, e
-    d = dual.seed(u, 3)
-    q = quat.mul(q, quat.exp(scale(row[0] * kept * two, d)))
-    return q, functions.larger(most, row[1] * row[1])
-
-
-def stopped(x, e, u, k, start):
-    q, most = x
-    slopes = tuple(s for c in q for s in dual.derivatives(c, 3))
-    return dual.value(q), slopes, most, e[1]
-
-
-LOOPED = Recurrence(spun, spin, stopped, TABLE_OF_STEPS)
-SPUN = (0.3, -0.2, 0.9), 0.75, (0.5, -0.5, 0.5, 0.5)
-
-
-@pytest.mark.parametrize("kind", [float, SINGLE])
-def test_a_recurrence_is_its_steps_written_out(kind):
-    looped, straight = (
-        scalar_function(LOOPED),
-        scalar_function(lambda u, k, start: LOOPED(u, k, start)),
-    )
-
-    @njit
-    def user(u, k, start):
-        return looped(u, k, start)
-
-    given = tuple(map(kind, SPUN[0])), kind(SPUN[1]), tuple(map(kind, SPUN[2]))
-    found, true = looped(*given), straight(*given)
-    bound = 4 * np.finfo(kind).eps
-    for a in (found, user(*given)):
-        assert np.abs(np.subtract(graph.flattened(a), graph.flattened(true))).max() <= bound
-        assert a[2:] == (9.0, 2.0)
-    (traced,) = looped._traced.values()
-    assert traced.loop is not None
-    assert traced.lanes == 4
-    # one exponential, however many steps
-    (whole,) = straight._traced.values()
-    assert 2 * sum(len(flat.nodes) for flat in traced.flats) < len(whole.flat.nodes)
-    assert {type(x) for x in graph.flattened(found)} == {kind}
-
-
-def test_a_recurrence_over_rows():
-    u = np.random.default_rng(2).normal(size=(3, 3))
-    arguments = LOOPED, {"u": 3, "k": None, "start": 4}, (4, 12, None, None)
-    given = u, *SPUN[1:]
-    rows = RowFunction(*arguments)(*given)
-    single = scalar_function(LOOPED)
-    for i in range(3):
-        assert [x[i].tolist() for x in rows[2:]] == [9.0, 2.0]
-        one = single(tuple(u[i].tolist()), *SPUN[1:])
-        assert [list(x[i]) for x in rows[:2]] == [list(x) for x in one[:2]]
-
-
-def test_a_recurrence_finds_tables_and_opaque_functions():
-    """d(x² y T[row])/dx twice, y and the look-up in every part."""
-
-    def begin(x, y):
-        (a,) = dual.seed((x,), 2)
-        return (a * looked_up(y),), (functions.opaque(MACHINE, 2, (a, y), x)[1],)
-
-    def step(s, e, row, x, y):
-        table = functions.gather(0, graph.apply("floor", x * 0.0 + row[0]), "double")
-        return (functions.opaque(MACHINE, 2, (s[0], e[0]), x)[0] * table,)
-
-    def end(s, e, x, y):
-        return dual.value(s[0]), dual.derivatives(s[0], 2), looked_up(y)
-
-    made = scalar_function(Recurrence(begin, step, end, [(0.0,), (2.0,)]), {0: TABLE})
-
-    @njit
-    def user(x, y):
-        return made(x, y)
-
-    # s = 5 y x, then 3 y s², then 7 y s²
-    x, y = 0.5, 1.5
-    value = 7.0 * y * (3.0 * y * (5.0 * y * x) ** 2) ** 2
-    for found in (user(x, y), made(x, y)):
-        assert found[0] == pytest.approx(value, rel=4 * EPS)
-        assert found[1] == pytest.approx((4.0 * value / x, 0.0), rel=1e-9)
-        assert found[2] == 5.0 * y
 
 
 # what goes from sample to sample

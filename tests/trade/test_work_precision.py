@@ -9,6 +9,7 @@ import pytest
 from each import each
 
 import fastatt as fa
+from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.inspect_step import inspect_step
 from fastatt.trade.ladder import see
@@ -117,11 +118,11 @@ def test_the_reference_is_as_good_as_it_says(scene, w0, method):
     """Another method comes as near as both may be off, and the tight run meets the closed form."""
     known = reference(problem(scene, w0))
     check = confirm(problem(scene, w0), known)
-    assert known.own_error.max() < 1e-12
-    assert check.apart.max() < known.own_error.max() + 1e-12
+    assert known.error.max() < 1e-12
+    assert check.apart.max() < known.error.max() + 1e-12
     tight = reference(problem(scene, w0), method=method)
     apart = fa.angle_between(tight.end.q, known.end.q)
-    assert apart.max() < 1.5 * (tight.own_error.max() + known.own_error.max())
+    assert apart.max() < 1.5 * (tight.error.max() + known.error.max())
 
 
 def test_the_reference_stops_at_its_goal():
@@ -129,8 +130,8 @@ def test_the_reference_stops_at_its_goal():
     known = reference(problem(GRADIENT, W0))
     true = fa.angle_between(loose.end.q, known.end.q)
     assert true.max() > 1e-10
-    assert (true <= loose.own_error).all()
-    assert loose.own_error.max() <= 1e-5
+    assert (true <= loose.error).all()
+    assert loose.error.max() <= 1e-5
 
 
 def pushed(n):
@@ -182,7 +183,7 @@ def test_cases_are_those_that_exist():
         *[Case("rk4", rep, d) for rep in ("quat", "euler313") for d in ("float64", "float32")],
     ]
     every = {c.method for c in cases_of(GRADIENT, None, ["quat"], ["float64"])}
-    assert every == set(fa.methods_for(GRADIENT))
+    assert every == set(methods_for(GRADIENT))
 
 
 # samples
@@ -264,6 +265,8 @@ def test_methods_of_ones_own_stand_beside_names():
 def test_what_stands_twice_or_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="methods: found 'rk4' twice; accepted: different names"):
         cases_of(CONING, ["rk4", "rk4"], ["quat"], ["float64"])
+    with pytest.raises(ValueError, match=r"methods, .*: found \[\], .* of which nothing fits"):
+        cases_of(CONING, [], ["quat"], ["float64"])
     mine = fa.lie_group("mine", order=2, exponents=middle)
     with pytest.raises(ValueError, match=r"methods: found mine, for rate; accepted .* \(free\): "):
         cases_of(FREE, [mine], ["quat"], ["float64"])

@@ -1,0 +1,334 @@
+"""Reading of gyro logs: columns and units recognised, samples in order and in SI units."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks
+from fastatt.gyro import columns as names
+from fastatt.gyro import stamps
+from fastatt.gyro.columns import UNITS
+from fastatt.gyro.intervals import REGULAR
+from fastatt.gyro.log import GyroLog, GyroLogError, GyroLogWarning
+from fastatt.gyro.rows import ON_BAD_ROWS, Samples, in_order
+from fastatt.gyro.tables import Table, in_memory, tabular
+from fastatt.gyro.text import from_text
+
+_LEAST_RATE = 1e-290  # Hz, below which times overflow
+_OTHERS = {"accel": "accelerometer", "mag": "magnetometer"}
+_WRAPS = 1 << 16
+_MANY = 0.01  # share of rows; leaving out more is warned of
+
+
+def read_gyro_log(
+    source: Any,
+    time_unit: str | None = None,
+    *,
+    columns: Sequence[str] | None = None,
+    unit: str | None = None,
+    rate: float | None = None,
+    time_column: str | None = None,
+    accel_columns: Sequence[str] | None = None,
+    mag_columns: Sequence[str] | None = None,
+    rows: tuple[str, object] | Sequence[tuple[str, object]] | None = None,
+    on_bad_rows: str = "refuse",
+    max_gap: float | None = None,
+    bias_seconds: float | None = None,
+) -> GyroLog:
+    """Read a gyro log.
+
+    The columns of a text table are separated by commas, semicolons, tabs or blanks, and its numbers
+    may have decimal commas, unless commas separate the columns. The table may be compressed with
+    gzip. The names of the columns are in its first lines or in a comment, and a line of units
+    may follow. Text tables need pandas, which ``pip install 'fastatt[logs]'`` installs.
+
+    Nothing is guessed. The columns are known by the names that loggers write. Units are those in
+    the names, or those that a format defines: PX4's ``gyro_rad``, ROS's ``angular_velocity`` with
+    its header stamps, ``rostopic``'s ``%time`` or PlotJuggler's ``__time``, and Sensor Logger's
+    ``Gyroscope.csv``. What neither says, the arguments have to say.
+
+    Parameters
+    ----------
+    source : path, file, data frame, data set or mapping
+        The name of a file, "-" for standard input, an open file, a pandas or polars data frame, an
+        xarray data set, or a mapping of names to arrays.
+    time_unit : str, optional
+        "s", "ms", "100us", "us" or "ns", if neither the name of the column nor a format has the
+        unit. Dates (ISO 8601), times of day (hh:mm:ss) and durations have none.
+    columns : sequence of str or int, optional
+        Names of the gyro's columns x, y and z, or their numbers from 1.
+    unit : str, optional
+        Unit of the rates: "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s",
+        "rev/s", "rpm" or "Hz" (revolutions per second), if neither the names of the columns nor a
+        format have the unit.
+    rate : float, optional
+        Sample rate, Hz, in place of time stamps. Where a column PacketCounter jumps, samples are
+        missing.
+    time_column : str or int, optional
+        Name or number of the column of time stamps.
+    accel_columns, mag_columns : sequence of str or int, optional
+        Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer. By
+        default they are read if their names say that they are specific force or magnetic field, and
+        their unit. An accelerometer that is named here without a unit is left in the log's unit.
+    rows : (str, str), or sequence of these, optional
+        A column and the text that a row has there, such as ``("name", "IMU")``, to read only such
+        rows of a table with several kinds of rows or several sensors. By default such a table is
+        refused; () reads all rows.
+    on_bad_rows : {"refuse", "drop", "split"}, default "refuse"
+        Treatment of bad rows, which have no rate, no time stamp or a stamp that does not increase,
+        and of gaps. "refuse" raises an error. "drop" leaves bad rows out, so that the next interval
+        is longer, and keeps a gap as one long interval. "split" leaves bad rows out too, and starts
+        a new piece (``log.pieces``) where samples are missing. Stamps that many rows share, as in
+        packets, are always refused: pass ``rate`` in their place.
+    max_gap : float, optional
+        Longest interval that is not a gap, s; the default is 10 times the median interval, or
+        10/``rate``.
+    bias_seconds : float, optional
+        Duration, s, from the first sample, during which the sensor is at rest. The mean rate over
+        it is subtracted as the bias, which ``summary`` has.
+
+    Returns
+    -------
+    GyroLog
+        The samples, and a ``summary`` of what was recognised.
+
+    Raises
+    ------
+    GyroLogError
+        If a unit is unknown, or is no angle per time, there is more than one gyro or time column,
+        rows are of several kinds, the stamps fit no gyro or a row is bad. It is a ``ValueError``,
+        whose message names what was found, its line, and the argument that helps.
+    TypeError
+        If an argument has the wrong type.
+    ImportError
+        If a text table is read without pandas.
+    OSError
+        If the file can't be read.
+
+    Warns
+    -----
+    GyroLogWarning
+        If more than 1 % of the rows were left out.
+
+    Examples
+    --------
+    >>> import fastatt as fa
+    >>> gyro = {f"gyro_{a} (rad/s)": [0.1, 0.1] for a in "xyz"}
+    >>> log = fa.read_gyro_log({"t (s)": [0.0, 0.01], **gyro})
+    >>> log.rates.shape, log.dt
+    ((2, 3), array([0.01]))
+    """
+    checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
+    checks.choice("unit", unit or "rad/s", UNITS)
+    checks.choice("time_unit", time_unit or "s", names.TIME_UNITS)
+    max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
+    asked = {"accel": accel_columns, "mag": mag_columns}
+    table = in_memory(source) if tabular(source) else from_text(source)
+    try:
+        gyro = _gyro(table, columns)
+        axes = tuple(table.column(i) for i in gyro)
+        defined = names.format_of(table.names, axes, table.name)
+        others, said = _others(table, asked, defined)
+        clock = [] if rate is not None else _clock(table, time_column, defined)
+        unit = unit or ("rad/s" if defined else names.rate_unit(axes))
+        chosen = _chosen(table, rows)
+    except GyroLogError as error:
+        raise table.error(error) from None
+    hertz = math.nan if clock else _rate(table, rate)
+    counter = _counter(table, stamped=bool(clock))
+    wanted = {"gyro": gyro, **others, "counter": counter}
+    values, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
+    if unit is None:
+        raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(UNITS)}")
+    with np.errstate(over="ignore"):
+        rates = values["gyro"] * UNITS[unit]
+    count, jumps = _counted(values.get("counter"), len(rates))
+    t, start = count / hertz, 0.0
+    if raw is not None:
+        t, start = stamps.times(table, clock, raw, time_unit, defined)
+    clock_name = " and ".join(table.column(i) for i in clock or counter)
+    timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
+    samples = in_order(
+        table, clock_name, t, rates, on_bad_rows, max_gap, jumps,
+        usual=None if clock else 1.0 / hertz,
+    )  # fmt: skip
+    _check(table, samples, len(t), least=2 if clock else 1)
+    rates = rates[samples.rows]
+    measured = _in_si(table, others, values, defined, said)
+    if bias_seconds is not None:
+        bias = _bias(table, samples.t, rates, bias_seconds)
+        said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
+        rates -= bias
+    dt = np.diff(samples.t)
+    if not (clock or samples.said):
+        dt[:] = 1.0 / hertz
+    usual = float(np.median(dt)) if len(dt) else 1.0 / hertz
+    mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * usual])) if len(dt) else hertz
+    said[:0] = [
+        f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
+        f"{', '.join(axes)} in {unit}",
+    ]
+    return GyroLog(
+        path=Path(table.name), columns=axes, unit=unit, timing=timing, rate=mean_rate,
+        t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]), rates=rates,
+        **{sensor: numbers[samples.rows] for sensor, numbers in measured.items()},
+        pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
+        events=tuple((*event,) for event in samples.events),
+        summary="; ".join([*said, *samples.said]),
+    )  # fmt: skip
+
+
+def _span(name: str, seconds: float | None) -> float | None:
+    if seconds is None:
+        return None
+    return checks.above_zero(name, seconds, "a number above 0, s", finite=False)
+
+
+def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
+    """The gyro's columns, as given or recognised by their names."""
+    if columns is not None:
+        return table.chosen(columns, 3, "columns")
+    gyro = names.gyro(table.names, table.name)
+    if gyro is None:
+        raise GyroLogError(
+            f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
+            "columns (names or numbers from 1)"
+        )
+    return gyro
+
+
+def _others(
+    table: Table, asked: Mapping[str, Sequence[str] | None], defined: names.Format | None
+) -> tuple[dict[str, list[int]], list[str]]:
+    """Columns of the other sensors, [] for none; and what is said of those left out."""
+    found, said = {}, []
+    for sensor, word in _OTHERS.items():
+        columns = asked[sensor]
+        if columns is not None:
+            found[sensor] = table.chosen(columns, 3, f"{sensor}_columns")
+            continue
+        found[sensor], why = names.other_sensor(table.names, sensor, defined)
+        said += [f"no {word}: {why}"] if why else []
+    return found, said
+
+
+def _in_si(
+    table: Table,
+    others: Mapping[str, list[int]],
+    values: Mapping[str, NDArray[np.float64]],
+    defined: names.Format | None,
+    said: list[str],
+) -> dict[str, NDArray[np.float64]]:
+    """The other sensors' numbers in SI units, as far as their columns say; adds what is said."""
+    found = {}
+    for sensor, columns in others.items():
+        if columns:
+            name = table.column(columns[0])
+            unit = names.unit_of_other(sensor, name, defined) or "the unit of the log"
+            said.append(f"{_OTHERS[sensor]} in {unit}: {name} ...")
+            scale = names.ACCEL_UNITS.get(unit, 1.0) if sensor == "accel" else 1.0
+            found[sensor] = values[sensor] * scale
+    return found
+
+
+def _clock(table: Table, time_column: str | None, defined: names.Format | None) -> list[int]:
+    """The columns of the time stamps; none if the file states its sample rate."""
+    if time_column is not None:
+        clock = [table.index(time_column, "time column")]
+    else:
+        clock = names.clock(table.names, defined)
+    if clock and table.rates and not table.first_row[clock[0]]:
+        clock = []  # an empty column
+    if not clock and not table.rates:
+        raise GyroLogError(
+            f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
+            "a time column"
+        )
+    for i in clock:
+        stamps.kind(table.first_row[i])
+    return clock
+
+
+def _chosen(table: Table, rows: Any) -> list[tuple[int, str]] | None:
+    """Columns by index, and the text that rows have there."""
+    if rows is None:
+        return None
+    pairs = [rows] if isinstance(rows, tuple) and rows[:1] and isinstance(rows[0], str) else rows
+    try:
+        return [(table.index(column, "rows"), str(text)) for column, text in pairs]
+    except (TypeError, ValueError) as error:
+        if isinstance(error, GyroLogError):
+            raise
+        accepted = 'a column and its text, as ("name", "IMU"), or a list of these'
+        raise TypeError(f"rows: found {checks.brief(rows)}; accepted: {accepted}") from None
+
+
+def _counter(table: Table, *, stamped: bool) -> list[int]:
+    """The column of a packet counter, [] for none; without time stamps any counter is one."""
+    words = ["packetcounter", "packet counter", "packet_counter", *["counter"] * (not stamped)]
+    return [i for i, name in enumerate(table.names) if name.lower() in words][:1]
+
+
+def _counted(
+    counter: NDArray[np.float64] | None, n: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The number of each of n rows, and whether a packet counter jumps there."""
+    jumps = np.zeros(n, dtype=bool)
+    if counter is None or n < 2 or not np.isfinite(counter).all():
+        return np.arange(n, dtype=np.float64), jumps
+    steps = np.diff(counter[:, 0])
+    usual = max(float(np.median(steps % _WRAPS)), 1.0)
+    # half the range back is a reset
+    steps = np.where(steps % _WRAPS < _WRAPS // 2, steps % _WRAPS, steps)
+    jumps[1:] = steps > usual
+    return np.append(0.0, np.cumsum(steps / usual)), jumps
+
+
+def _rate(table: Table, rate: float | None) -> float:
+    """The given sample rate, or the file's."""
+    if rate is not None:
+        number = checks.real("rate", rate)
+        if not number > _LEAST_RATE:
+            raise GyroLogError(f"rate: found {number}; accepted: a sample rate above 0, Hz")
+        return number
+    if len(table.rates) > 1:
+        found = " and ".join(f"{x:g}" for x in table.rates)
+        raise table.error(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
+    return table.rates[0]
+
+
+def _check(table: Table, samples: Samples, n: int, least: int) -> None:
+    """Refuse a log of too few samples; warn if many rows are left out."""
+    kept = len(samples.rows)
+    if kept < least:
+        found = f"{kept} of {n} rows that are samples"
+        raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
+    if n - kept > _MANY * n:
+        counts = "; ".join(samples.said)
+        warnings.warn(
+            f"{table.name}: {n - kept} of {n} rows are left out ({counts})",
+            GyroLogWarning,
+            stacklevel=3,
+        )
+
+
+def _bias(
+    table: Table, t: NDArray[np.float64], rates: NDArray[np.float64], wanted: float
+) -> NDArray[np.float64]:
+    """The mean rate of a start at rest; refuses a shorter log."""
+    rest = t < wanted
+    if rest.all() or rest.sum() < 2:
+        found = "one sample in the first" if rest.sum() == 1 else "all of the log in the first"
+        raise table.error(
+            f"bias_seconds: found {found} {wanted:g} s; accepted: less than the log, and at least "
+            "two samples"
+        )
+    return np.asarray(rates[rest].mean(axis=0))

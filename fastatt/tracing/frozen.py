@@ -1,0 +1,347 @@
+"""Functions of users, frozen: what they refer to is read when a scene is made, and never written.
+
+A frozen function has the code of the user's, with copies of globals, closures, defaults, containers
+and attributes. Sources of other values at each call (random numbers, clocks, counters) and writes
+to what is outside the function are refused.
+"""
+
+from __future__ import annotations
+
+import builtins
+import contextlib
+import dis
+import enum
+import functools
+import inspect
+import linecache
+import types
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn, cast
+
+import numpy as np
+
+from fastatt.tracing.nodes import RefusedError, TraceError
+
+_SOURCES = frozenset((
+    "random numpy.random _random time datetime os posix secrets uuid threading _thread io _io "
+    "socket subprocess gc weakref"
+).split())  # fmt: skip
+_READING = frozenset((
+    "id hash input open print globals locals vars eval exec compile setattr delattr breakpoint"
+).split())  # fmt: skip
+#: Python's builtins that a frozen function finds as they are
+ALLOWED: dict[str, Any] = {
+    k: x for k, x in vars(builtins).items() if isinstance(x, type) and issubclass(x, BaseException)
+} | {
+    k: getattr(builtins, k) for k in (
+        "abs all any bool callable dict divmod enumerate filter frozenset getattr hasattr iter len "
+        "list map next range reversed set slice sorted sum tuple zip repr format"
+    ).split()
+}  # fmt: skip
+SAME = (
+    "accepted: a function that gives the same for the same arguments, since a step evaluates it "
+    "several times; a fastatt.TimeSeries or params hold numbers that are made before the run"
+)
+OUTSIDE = "accepted: a function that changes nothing outside it; states hold what a step carries on"
+
+
+def refuse(what: str, why: str, file: str, line: int) -> NoReturn:
+    """Refuse a function, with the line."""
+    raise RefusedError(f"{what} ({place(file, line)}); {why}")
+
+
+def placed(text: str, file: str, line: int) -> TraceError:
+    """The error, with the line."""
+    error = TraceError(f"{text} ({place(file, line)})")
+    error.where = f"{file}:{line}"
+    return error
+
+
+def place(file: str, line: int) -> str:
+    """A line of code: ``file:line: text``."""
+    text = linecache.getline(file, line).strip()
+    return f"{file}:{line}{f': {text}' if text else ''}"
+
+
+def inner_of(function: Any) -> Any:
+    """The Python function of a partial, a method, a jitted function or an object with __call__."""
+    for name in ("py_func", "func", "__func__"):
+        if hasattr(function, name):
+            return inner_of(getattr(function, name))
+    call = inspect.getattr_static(type(function), "__call__", None)
+    return call if isinstance(call, types.FunctionType) else function
+
+
+def signature_of(function: Any) -> inspect.Signature:
+    """The arguments of a function; none of one that does not tell them."""
+    try:
+        return inspect.signature(getattr(function, "py_func", function))
+    except (TypeError, ValueError):
+        return inspect.Signature()
+
+
+def name_of(function: Any) -> str:
+    """The name of a function, also of a partial or an object."""
+    return str(getattr(function, "__name__", getattr(inner_of(function), "__name__", "function")))
+
+
+def codes_of(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code, and that of functions within it."""
+    yield code
+    for x in code.co_consts:
+        if isinstance(x, types.CodeType):
+            yield from codes_of(x)
+
+
+def names_of(code: types.CodeType) -> set[str]:
+    """Names of globals and of attributes in code."""
+    return {name for part in codes_of(code) for name in part.co_names}
+
+
+# what a function's code does, without running it
+
+
+_DOES = {
+    **dict.fromkeys(("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF"), "name"),
+    **dict.fromkeys(("STORE_ATTR", "DELETE_ATTR"), "the attribute, which changes"),
+    **dict.fromkeys(("STORE_GLOBAL", "DELETE_GLOBAL"), "the statement global"),
+    **dict.fromkeys(("POP_EXCEPT", "CHECK_EXC_MATCH", "WITH_EXCEPT_START"), "catches errors"),
+    **dict.fromkeys(("FORMAT_VALUE", "FORMAT_SIMPLE", "FORMAT_WITH_SPEC"), "text"),
+    "LOAD_BUILD_CLASS": "defines a class",
+}  # fmt: skip
+
+
+@functools.lru_cache(maxsize=4096)
+def _suspects(code: types.CodeType) -> tuple[tuple[str, str, int], ...]:
+    """(what, name, line) of what code does that may not be followed or accepted."""
+    found: list[tuple[str, str, int]] = []
+    for part in codes_of(code):
+        line, truth = part.co_firstlineno, False
+        for x in dis.get_instructions(part):
+            line, op = (x.positions and x.positions.lineno) or line, x.opname
+            what = _DOES.get(op, "")
+            if op in ("STORE_DEREF", "DELETE_DEREF") and x.argval in code.co_freevars:
+                what = "the statement nonlocal"
+            elif op in ("LOAD_ATTR", "LOAD_METHOD") and x.argval == "random":
+                what = "random, which may differ from call to call"
+            elif op == "IMPORT_NAME" and x.argval.partition(".")[0] not in ("math", "numpy"):
+                what = "the statement import"
+            elif op == "IS_OP" and truth:
+                what = "`is` with True or False, which depends on the type"
+            truth = op == "LOAD_CONST" and isinstance(x.argval, bool)
+            if what:
+                found.append((what, str(x.argval), line))
+    return tuple(found)
+
+
+def check(function: types.FunctionType, *, texts: bool) -> None:
+    """Refuse a function whose code reads what differs between calls, or writes outside it.
+
+    With ``texts`` those that make texts are refused too; without, ``TraceError`` is raised for one
+    that catches errors.
+    """
+    code, values = function.__code__, function.__globals__
+    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
+    for what, name, line in _suspects(code):
+        at = code.co_filename, line
+        own = name in values or name in cells
+        is_text = what == "name" and not own and name in ("str", "repr", "format", "ascii")
+        if what == "text" or is_text:
+            if texts:
+                refuse("the text of a number", SAME, *at)
+        elif what == "name":
+            with contextlib.suppress(ValueError):  # a name without a value
+                value = cells[name].cell_contents if name in cells else values.get(name)
+                if is_source(value) or (not own and name in _READING):
+                    refuse(f"{name}, which may differ from call to call", SAME, *at)
+        elif not what.startswith(("catches", "defines")):
+            named = what.replace("attribute", f"attribute {name}")
+            refuse(named, OUTSIDE if what.startswith("the ") else SAME, *at)
+        elif not texts:
+            raise placed(f"{function.__name__} {what}", *at)
+
+
+def is_source(value: Any) -> bool:
+    """Whether it gives other values at each call: a generator, a clock, an iterator."""
+    if isinstance(value, types.ModuleType):
+        return value.__name__ in _SOURCES
+    of = getattr(value, "__self__", None) if callable(value) else None
+    kinds = [x if isinstance(x, type) else type(x) for x in (value, of)]
+    where = {x.__module__ for x in kinds} | {str(getattr(value, "__module__", "") or "")}
+    of_source = any(x in _SOURCES or x.startswith("numpy.random") for x in where)
+    return of_source or hasattr(type(value), "__next__")
+
+
+# values that are read and not written
+
+
+def _unwritten(base: type, names: str) -> type:
+    def no(*_: Any, **__: Any) -> NoReturn:
+        raise RefusedError(f"a {base.__name__} from outside the function that it changes")
+
+    return type(base.__name__, (base,), dict.fromkeys(names.split(), no))
+
+
+_LIST = _unwritten(
+    list,
+    "append extend insert pop remove clear sort reverse __setitem__ __delitem__ __iadd__ __imul__",
+)
+_DICT = _unwritten(dict, "update setdefault pop popitem clear __setitem__ __delitem__ __ior__")
+
+
+class Held:
+    """An object, class or module as it is now: it is read, but not written."""
+
+    __slots__ = ("_freezer", "of")
+
+    def __init__(self, of: Any, freezer: Freezer) -> None:
+        object.__setattr__(self, "of", of)
+        object.__setattr__(self, "_freezer", freezer)
+
+    def __getattr__(self, name: str) -> Any:
+        of, freezer = self.of, self._freezer
+        held = inspect.getattr_static(type(of), name, None)
+        if isinstance(held, (property, functools.cached_property)):
+            get = held.fget if isinstance(held, property) else held.func
+            return freezer.function(get)(self)
+        if isinstance(held, types.FunctionType) and name not in getattr(of, "__dict__", ()):
+            return types.MethodType(freezer.function(held), self)
+        return freezer(getattr(of, name))
+
+    def __call__(self, *args: Any, **named: Any) -> Any:
+        """Call it; an object is not made."""
+        if isinstance(self.of, type):
+            raise TraceError(f"it makes a {self.of.__name__}")
+        return self.__getattr__("__call__")(*args, **named)
+
+
+def _special(name: str) -> Callable[..., Any]:
+    return lambda self, *args: self.__getattr__(name)(*args)
+
+
+def _written(*_: Any) -> NoReturn:
+    raise RefusedError("an object from outside the function that it changes")
+
+
+for _name in ("getitem", "len", "iter", "contains", "matmul", "add", "sub", "mul"):
+    setattr(Held, f"__{_name}__", _special(f"__{_name}__"))
+for _name in ("setitem", "delitem", "setattr", "delattr"):
+    setattr(Held, f"__{_name}__", _written)
+
+
+class Freezer:
+    """Makes frozen values; one object stays one.
+
+    ``known`` replaces values of libraries, ``scope`` are names of all frozen functions, and
+    ``code`` gives the code of a function. ``jitted`` says whether Numba compiled one.
+    """
+
+    def __init__(self, known: Callable[..., Any], scope: Any, code: Callable[..., Any]) -> None:
+        self._known, self._scope, self._code = known, scope, code
+        self._made: dict[int, tuple[Any, Any]] = {}
+        self.jitted = False
+
+    def __call__(self, value: Any) -> Any:
+        """The frozen value."""
+        if value is None or isinstance(value, (bool, int, float, complex, str, enum.Enum)):
+            return cast(Any, value).item() if hasattr(value, "dtype") else value
+        if id(value) not in self._made:
+            self._made[id(value)] = self._frozen(value), value  # it is kept alive
+        return self._made[id(value)][0]
+
+    def _frozen(self, value: Any) -> Any:
+        if is_source(value):
+            raise RefusedError(f"{value!r:.60}, which may differ from call to call")
+        is_jitted = hasattr(value, "py_func")
+        self.jitted |= is_jitted
+        if (known := self._known(value)) is not None:
+            return known
+        if is_jitted:
+            return self.function(value.py_func)
+        if isinstance(value, types.FunctionType):
+            return self.function(value)
+        if isinstance(value, tuple):
+            made = [self(x) for x in value]
+            return type(value)(*made) if hasattr(value, "_fields") else tuple(made)
+        if isinstance(value, list):
+            return _LIST(map(self, value))
+        if isinstance(value, dict):
+            return _DICT((k, self(x)) for k, x in value.items())
+        if isinstance(value, (set, frozenset)):
+            return frozenset(value)
+        if isinstance(value, functools.partial):
+            named = {k: self(x) for k, x in value.keywords.items()}
+            return functools.partial(self(value.func), *map(self, value.args), **named)
+        if isinstance(value, types.MethodType):
+            return types.MethodType(self(value.__func__), self(value.__self__))
+        if hasattr(value, "cache_info"):
+            return self(value.__wrapped__)
+        is_plain = isinstance(value, type) and issubclass(value, (BaseException, tuple, np.generic))
+        if is_plain or any(value is x for x in _CLASSES):
+            return self._scope["__builtins__"].get(value.__name__, value)
+        return unknown(value) if isinstance(value, types.BuiltinFunctionType) else Held(value, self)
+
+    def function(self, function: types.FunctionType) -> Any:
+        """The function with frozen globals, closure and defaults."""
+        if str(function.__module__).partition(".")[0] in ("numpy", "numba", "scipy"):
+            return unknown(function)
+        if id(function) in self._made:
+            return self._made[id(function)][0]
+        check(function, texts=False)
+        scope = {**self._scope, "__name__": function.__module__}
+        cells = tuple(types.CellType() for _ in function.__code__.co_freevars)
+        made = types.FunctionType(self._code(function), scope, function.__name__, None, cells)
+        self._made[id(function)] = made, function
+        values = function.__globals__
+        names = names_of(function.__code__)
+        scope.update((k, self(values[k])) for k in names if k in values)
+        for cell, old in zip(cells, function.__closure__ or (), strict=True):
+            try:
+                cell.cell_contents = self(old.cell_contents)
+            except ValueError:  # the name has no value yet
+                continue
+        made.__defaults__ = function.__defaults__ and tuple(map(self, function.__defaults__))
+        made.__kwdefaults__ = {k: self(x) for k, x in (function.__kwdefaults__ or {}).items()}
+        return made
+
+
+_CLASSES = (bool, int, float, complex, str, list, tuple, dict, set, frozenset, np.ndarray, object)
+
+
+def unknown(function: Any) -> Callable[..., NoReturn]:
+    """A function that raises in place of one that is not known."""
+
+    def call(*_: Any, **__: Any) -> NoReturn:
+        name = function.__name__
+        raise TraceError(f"{name}, which is not among the functions that are known here")
+
+    return call
+
+
+# errors in frozen functions
+
+
+def guarded(function: Any, run: Callable[[], Any]) -> Any:
+    """What it gives; errors name the line of the user's code."""
+    try:
+        return run()
+    except Exception as error:
+        text = str(error)
+        if getattr(error, "where", "") or (isinstance(error, RefusedError) and "; acc" in text):
+            raise
+        file, line = _place_of(error.__cause__ or error, inner_of(function).__code__)
+        if isinstance(error, RefusedError):
+            refuse(text, OUTSIDE if "change" in text else SAME, file, line)
+        if not isinstance(error, TraceError):
+            text = f"{type(error).__name__}: {text}"
+        raise placed(text, file, line) from error
+
+
+def _place_of(error: BaseException, code: types.CodeType) -> tuple[str, int]:
+    """(file, line) of the innermost frame of a frozen function, or of the whole code."""
+    found, step = (code.co_filename, code.co_firstlineno), error.__traceback__
+    while step is not None:
+        if "__choose__" in step.tb_frame.f_globals:
+            found = step.tb_frame.f_code.co_filename, step.tb_lineno
+        step = step.tb_next
+    return found

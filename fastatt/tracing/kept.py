@@ -1,0 +1,101 @@
+"""The operations of a user's function by their names, in no precision, and how they are replayed.
+
+A call replays them with numbers of a graph, which decide precision and derivatives; on arrays they
+are evaluated with NumPy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt.tracing import functions, graph
+from fastatt.tracing.graph import Condition, Double
+from fastatt.tracing.mathematics import FORMULAS, formula_of
+from fastatt.tracing.nodes import Node, Recorded
+from fastatt.tracing.source import evaluated, performed
+
+Numbers = NDArray[np.float64]
+#: operators of numbers
+ARITHMETIC: dict[str, Callable[..., Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "abs": abs,
+    "//": operator.floordiv, "%": operator.mod, "neg": operator.neg, "pow": operator.pow,
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+    "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
+#: about how many operations of a processor a function takes, if more than one
+_COSTS = (
+    dict.fromkeys("sin cos tan atan2 atan asin acos look".split(), 45)
+    | dict.fromkeys("exp log tanh sinh cosh log2 log10 // % fmod".split(), 20)
+    | dict.fromkeys(("const", "in", "item"), 0)
+)
+#: functions that operations are named by
+NAMES = frozenset({*FORMULAS, *"sqrt exp log tanh sinh cosh floor rint abs".split()})
+
+
+class Table:
+    """An array from which a formula reads by position; equal ones are one."""
+
+    def __init__(self, data: Any) -> None:
+        self.data: Numbers = np.array(data, np.float64).ravel()
+        self.digest = hashlib.sha256(self.data.tobytes()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Table) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+class Kept(NamedTuple):
+    """The operations of a function and the numbers of its results.
+
+    ``nodes`` are in no precision; a table is the first argument of "gather" and "look".
+    """
+
+    nodes: tuple[Node, ...]
+    results: tuple[int, ...]
+
+    @property
+    def operations(self) -> int:
+        """About how many operations of a processor it takes."""
+        return sum(_COSTS.get(node.op, 1) for node in self.nodes)
+
+    @property
+    def tables(self) -> dict[Any, Numbers]:
+        """The tables that it reads."""
+        found = (node.args[0] for node in self.nodes if node.op in ("gather", "look"))
+        return {table: table.data for table in found}
+
+    def replay(self, numbers: Sequence[Any]) -> list[Any]:
+        """The results for numbers of a graph, dual numbers, or known ones."""
+        made = performed(self.nodes, numbers, _replayed)
+        return [made[i] for i in self.results]
+
+    def evaluate(self, numbers: Any) -> list[Any]:
+        """The values of all nodes for arrays of numbers, by IEEE's rules."""
+        return performed(self.nodes, numbers, evaluated)
+
+
+def _replayed(node: Node, given: list[Any]) -> Any:
+    op, args = node.op, node.args
+    if not any(isinstance(x, (Recorded, Condition)) for x in given):
+        found = evaluated(node, given)
+        return found if op in ("look", "item", "const") else found.item()
+    if op == "gather":
+        index, last = given[0], float(len(args[0].data) - 1)
+        inside = graph.both(index >= 0.0, index <= last)
+        return functions.gather(args[0], Double(graph.choose(inside, index, 0.0)), "double")
+    if op == "look":
+        return args[0].traced_at(*given)
+    if op == "select":
+        return graph.choose(*given)
+    if op in ("//", "%"):
+        return functions.divided(*given)[op == "%"]
+    formula = ARITHMETIC.get(op) or formula_of(op, len(given))
+    return formula(*given)  # type: ignore[misc]

@@ -1,0 +1,180 @@
+"""Functions of users, followed: run once for each execution path with numbers that record.
+
+A comparison of unknown numbers gives Python's own ``bool``, the answer of this path; the whole
+function runs again on fresh arguments for the other answer. Writes in place, aliases, early returns
+and containers are thereby Python's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import operator
+import types
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from fastatt.tracing.frozen import Freezer, guarded
+from fastatt.tracing.kept import ARITHMETIC, Kept
+from fastatt.tracing.library import BUILTINS, known_names, replaced, unknown_in
+from fastatt.tracing.nodes import RefusedError, TraceError
+from fastatt.tracing.rewriting import rewritten
+from fastatt.tracing.unknown import Recorder, is_number, is_whole
+
+if TYPE_CHECKING:
+    from fastatt.tracing.user import UserFunction
+
+MOST_PATHS = 512
+
+
+def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    """``yes() if a op b else no()``; the choice of two numbers is no condition of the path."""
+    with contextlib.suppress(Exception):
+        return _either(op, a, b, yes, no)
+    return yes() if ARITHMETIC[op](a, b) else no()
+
+
+def _changed(
+    op: str, a: Any, b: Any, old: Callable[[], Any], value: Callable[[], Any], change: str
+) -> Any:
+    """The value of a name after ``if a op b: name change= value``."""
+    try:
+        before = old()
+    except Exception as error:
+        raise TraceError("a choice without a value before it") from error
+    if not change:
+        return _choose(op, a, b, value, lambda: before)
+    in_place, is_array = getattr(operator, change), type(before) is np.ndarray
+    with contextlib.suppress(Exception):
+        if is_array or is_number(before):
+            held = before.copy() if is_array else before
+            made = _either(op, a, b, lambda: in_place(held, value()), lambda: before, alias=False)
+            if not is_array:
+                return made
+            before[...] = made
+            return before
+    return in_place(before, value()) if ARITHMETIC[op](a, b) else before
+
+
+def _either(
+    op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any], *, alias: bool = True
+) -> Any:
+    """Both values as one. Raises an error unless they are numbers that ask nothing.
+
+    With ``alias``, an array that is chosen may have other names.
+    """
+    like = unknown_in(a, b)
+    if like is None or np.ndim(a) or np.ndim(b):
+        raise TraceError("a condition of known numbers, or of arrays")
+    recorder = like.recorder
+    test = recorder.add(op, recorder.number(a), recorder.number(b))
+    if test in recorder.answers:
+        raise TraceError("a condition of this path")
+    recorder.silent += 1
+    try:
+        values = yes(), no()
+    finally:
+        recorder.silent -= 1
+    made = _chosen(recorder, test, *values)
+    recorder.chosen.add(test)
+    if alias and isinstance(made, np.ndarray):
+        recorder.unchanged += [(x, x.copy()) for x in (made, *values)]
+    return made
+
+
+def _chosen(recorder: Recorder, test: int, a: Any, b: Any) -> Any:
+    if type(a) is type(b) is np.ndarray and a.dtype == b.dtype == object and a.shape == b.shape:
+        made = np.empty(a.shape, dtype=object)
+        for k in np.ndindex(a.shape):
+            made[k] = _chosen(recorder, test, a[k], b[k])
+        return made
+    if not (is_number(a) and is_number(b) and is_whole(a) == is_whole(b)):
+        raise TraceError("a choice of other values than numbers")
+    return recorder.choice(test, a, b)
+
+
+_SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__changed__": _changed}
+
+
+class Followed(NamedTuple):
+    """A function as operations."""
+
+    kept: Kept
+    #: conditions with their answers, of each execution path
+    paths: list[list[tuple[int, bool]]]
+    #: conditions of which both sides are tried
+    conditions: set[int]
+    #: those that no path asks, since both branches are operations
+    chosen: set[int]
+    #: what runs in Python: not the function itself if Numba would compile what it calls
+    function: Callable[..., Any]
+
+
+def follow(function: Any, given: UserFunction) -> Followed:
+    """Follow a function.
+
+    Raises ``TraceError``, with the line, if it can't be followed, and ``RefusedError`` if it is no
+    function that a scene accepts.
+    """
+    try:
+        return _followed(function, given, predicated=True)
+    except (TraceError, RefusedError):
+        return _followed(function, given, predicated=False)
+
+
+def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Followed:
+    recorder, paths = Recorder(), list[list[tuple[int, bool]]]()
+
+    def code(function: types.FunctionType) -> types.CodeType:
+        code = function.__code__
+        return (predicated and rewritten(code, known_names(function.__globals__))) or code
+
+    freezer = Freezer(replaced, _SCOPE, code)
+    made = guarded(function, lambda: freezer(function))
+    inputs = given.nested([recorder.at(recorder.add("in", k)) for k in range(given.count)])
+
+    def below(forced: list[bool]) -> list[Any]:
+        """The results of the paths that begin with given answers."""
+        if len(paths) >= MOST_PATHS:
+            raise TraceError(f"more than {MOST_PATHS} execution paths")
+        recorder.begin(forced)
+        found = _path(lambda: given.in_a_row(made(*inputs)), recorder, given.results)
+        taken = list(recorder.answers.items())
+        paths.append(taken)
+        for k in reversed(range(len(forced), len(taken))):
+            other = below([x for _, x in taken[:k]] + [False])
+            pairs = zip(found, other, strict=True)
+            found = [recorder.choice(taken[k][0], *pair) for pair in pairs]
+        return found
+
+    results = [*map(recorder.number, guarded(function, lambda: below([])))]
+    kept = Kept(tuple(recorder.nodes), tuple(results))
+    if {*results} == {recorder.number(math.nan)}:
+        error = recorder.error
+        text = f"{type(error).__name__}: {error}"
+        raise TraceError(f"an error on every path, such as {text}") from error
+    asked = {at for path in paths for at, _ in path} | recorder.chosen
+    beside = made if freezer.jitted else function
+    return Followed(kept, paths, asked - recorder.guards, recorder.chosen, beside)
+
+
+def _path(run: Callable[[], Any], recorder: Recorder, results: int) -> list[Any]:
+    """The results of a path; NaN if it ends in an error."""
+    try:
+        found = list(run())
+    except (TypeError, AttributeError, RecursionError, MemoryError):
+        raise
+    except Exception as error:
+        if "read-only" in str(error):
+            raise RefusedError("an array from outside the function that it changes") from error
+        recorder.error = error
+        return [math.nan] * results
+    finally:
+        for x, before in recorder.unchanged:
+            if any(a is not b for a, b in zip(x.flat, before.flat, strict=True)):
+                raise TraceError("a change of an array that may have other names")
+    if recorder.texts:
+        raise RefusedError("the text of a number")
+    return found

@@ -1,0 +1,464 @@
+"""Logs as loggers write them: a few lines in each format, read right; what they lack asked for."""
+
+from __future__ import annotations
+
+import io
+import re
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+from each import each
+
+import fastatt as fa
+
+W = np.array([[0.1, -0.2, 0.3], [0.4, 0.5, -0.6], [-0.7, 0.8, 0.9]])
+A = np.array([[0.5, -0.25, 9.75], [0.25, 0.5, 9.5], [-0.5, 0.25, 9.25]])
+DEG = np.pi / 180.0
+
+
+def table(head, first, *blocks, separator=",", more=()):
+    """Text of a table: lines of a head, time stamps, and blocks of columns beside them."""
+    columns = [[*row] for row in zip(first, *(b.tolist() for b in blocks), strict=True)]
+    lines = [
+        separator.join([str(t), *(repr(x) for b in rest for x in b), *more]) for t, *rest in columns
+    ]
+    return "\n".join([head, *lines]) + "\n"
+
+
+class Case(NamedTuple):
+    """A log's text, what it means, and what has to be said of it."""
+
+    text: str
+    dt: float
+    scale: float = 1.0  # rad/s in its unit
+    accel: float | None = None  # m/s² in its unit
+    said: dict[str, Any] = MappingProxyType({})
+    name: str = "log.csv"
+
+
+RAD, US_STAMPS, NS_STAMPS = {"unit": "rad/s"}, {"time_unit": "us"}, {"time_unit": "ns"}
+XYZ = {"columns": ["xyz[0]", "xyz[1]", "xyz[2]"], "time_column": "timestamp"}
+
+
+NS = [1403636579758555392 + 5_000_000 * k for k in range(3)]
+US = [38_512_305 + 4000 * k for k in range(3)]
+SECONDS = [0.0, 0.01, 0.02]
+ZYX = [2, 1, 0]
+
+
+def xyz(names, separator=",", axes="xyz"):
+    return separator.join(names.format(axis) for axis in axes)
+
+
+def tables(separator, rows):
+    return "".join(
+        separator.join(x if isinstance(x, str) else repr(x) for x in r) + "\n" for r in rows
+    )
+
+
+def column(*numbers):
+    return np.array(numbers)[:, None]
+
+
+ROS = xyz("field.angular_velocity.{}") + xyz(",field.angular_velocity_covariance{}", "", range(9))
+ROS_ROWS = [
+    [t + 3_000_000, k, t, "imu_link", *w, *[0.0] * 9, *a]
+    for k, (t, w, a) in enumerate(zip(NS, W.tolist(), A.tolist(), strict=True))
+]
+SHIMMER = [
+    ["Shimmer_43A6_Timestamp_Unix_CAL", xyz("Shimmer_43A6_Gyro_{}_CAL", "\t", "XYZ"), ""],
+    ["ms", "deg/s", "deg/s", "deg/s", ""],
+    *([1.4e12 + 19.5 * k, *w, ""] for k, w in enumerate(W.tolist())),
+]
+PX4 = "gyro_integral_dt,accelerometer_timestamp_relative"
+XSENS = xyz("Acc_{}", "\t", "XYZ") + "\t" + xyz("Gyr_{}", "\t", "XYZ")
+
+CASES = {
+    "EuRoC": Case(
+        table(
+            f"#timestamp [ns],{xyz('w_RS_S_{} [rad s^-1]')},{xyz('a_RS_S_{} [m s^-2]')}", NS, W, A
+        ),
+        0.005, accel=1.0,
+    ),
+    "PX4 sensor_combined": Case(
+        table(
+            f"timestamp,{xyz('gyro_rad[{}]', axes='012')},{PX4},"
+            f"{xyz('accelerometer_m_s2[{}]', axes='012')},accelerometer_integral_dt",
+            US, W, np.full((3, 2), [4000.0, 0.0]), A, np.full((3, 1), 4000.0),
+        ),
+        0.004, accel=1.0,
+    ),
+    "PX4 vehicle_angular_velocity": Case(
+        table(
+            f"timestamp,timestamp_sample,{xyz('xyz[{}]', axes='012')},"
+            f"{xyz('xyz_derivative[{}]', axes='012')}",
+            US, column(*US) - 100, W, 9 * W,
+        ),
+        0.004, said=RAD | US_STAMPS | XYZ, name="flight_vehicle_angular_velocity_0.csv",
+    ),
+    "rostopic echo -p": Case(
+        f"%time,field.header.seq,field.header.stamp,field.header.frame_id,{ROS},"
+        f"{xyz('field.linear_acceleration.{}')}\n" + tables(",", ROS_ROWS),
+        0.005, accel=1.0,
+    ),
+    "PlotJuggler": Case(
+        table(
+            f"__time,{xyz('/imu/angular_velocity/{}')},{xyz('/imu/linear_acceleration/{}')}",
+            SECONDS, W, A,
+        ),
+        0.01, accel=1.0,
+    ),
+    "bagpy": Case(
+        table(
+            f"Time,header.seq,header.stamp.secs,header.stamp.nsecs,{xyz('angular_velocity.{}')}",
+            [1.6e9, 1.6e9 + 0.3, 1.6e9 + 0.6],
+            np.array([[7, 1600000000, 250000000 * k] for k in range(3)]), W,
+        ).replace(".0,", ","),
+        0.25,
+    ),
+    "phyphox": Case(
+        '"Time (s)",' + xyz('"Gyroscope {} (rad/s)"') + ',"Absolute (rad/s)"'
+        + table("", SECONDS, W, np.ones((3, 1))),
+        0.01,
+    ),
+    "phyphox with decimal commas": Case(
+        f"Time (s);{xyz('Gyroscope {} (rad/s)', ';')}"
+        + table("", SECONDS, W, separator=";").replace(".", ","),
+        0.01,
+    ),
+    "Sensor Logger": Case(
+        table("time,seconds_elapsed,z,y,x", NS, column(*SECONDS), W[:, ZYX]), 0.01,
+        name="Gyroscope.csv",
+    ),
+    "Physics Toolbox": Case(
+        table("time,wx,wy,wz,", SECONDS, W, more=("",)), 0.01, said=RAD | {"time_unit": "s"}
+    ),
+    "Betaflight": Case(
+        table(
+            f"loopIteration, time (us), {xyz('gyroADC[{}] (deg/s)', ', ', '012')}, "
+            f"{xyz('accSmooth[{}]', ', ', '012')}, debug[0]",
+            [0, 4, 8], column(55158008, 55158508, 55159008), W, 2048 * A, W[:, :1],
+        ),
+        0.0005, DEG,
+    ),
+    "ax ay az gx gy gz": Case(
+        table("t_ms ax ay az gx gy gz", [5, 15, 25], A / 10, 100 * W, separator=" "),
+        0.01, 100 * DEG, said={"unit": "deg/s"},
+    ),
+    "p q r": Case(
+        table("time (s),p,q,r,phi", SECONDS, W, W[:, :1]), 0.01, said=RAD | {"columns": [*"pqr"]}
+    ),
+    "rotation_rate": Case(
+        table(f"timestamp;{xyz('rotation_rate_{}', ';')}", NS, W, separator=";"),
+        0.005, said=RAD | NS_STAMPS,
+    ),
+    "SensorLog": Case(
+        table(
+            "loggingTime(txt),gyroTimestamp_sinceReboot(s),"
+            + xyz("motionRotationRate{}(rad/s)", axes="XYZ"),
+            [f"2021-03-04 10:00:00.{k}00" for k in range(3)], np.ones((3, 1)), W,
+        ),
+        0.1,
+    ),
+    "x-io": Case(
+        table(
+            f"Time (s),{xyz('Gyroscope {} (deg/s)', axes='XYZ')},"
+            f"{xyz('Accelerometer {} (g)', axes='XYZ')}",
+            SECONDS, W, A / 9.80665,
+        ),
+        0.01, DEG, accel=1.0,
+    ),
+    "Xsens": Case(
+        "// Start Time: Unknown\n// Sample rate: 50.0Hz\n// Scenario: 4.9\n"
+        + table(f"Counter\t{XSENS}\t", [7, 8, 9], A, W, separator="\t", more=("",)),
+        0.02, said=RAD,
+    ),
+    "UZH-FPV": Case(
+        table(f"# timestamp {xyz('ang_vel_{}', ' ')} {xyz('lin_acc_{}', ' ')}",
+              [1540113186.25, 1540113186.5, 1540113186.75], W, A, separator=" "),
+        0.25, said=RAD | {"time_unit": "s"},
+    ),
+    "ArduPilot": Case(
+        table("timestamp,TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", [1.6e9, 1.6e9 + 1, 1.6e9 + 2],
+              np.array([[7_000_000, 0], [7_002_500, 0], [7_005_000, 0]]), W, A),
+        0.0025, said=RAD,
+    ),
+    "Shimmer": Case("sep=\t\n" + tables("\t", SHIMMER), 0.0195, DEG),
+    "ROS 2": Case(
+        table(
+            f"header.stamp.sec,header.stamp.nanosec,{xyz('angular_velocity.{}')}",
+            [1700000000, 1700000000, 1700000001], column(600_000_001, 800_000_001, 1), W,
+        ).replace(".0,", ","),
+        0.2,
+    ),
+    "Xsens, SampleTimeFine": Case(
+        "// Update Rate: 10.0Hz\n"
+        + table("SampleTimeFine\tGyr_X\tGyr_Y\tGyr_Z", [5000, 6000, 7000], W, separator="\t"),
+        0.1, said=RAD | {"time_unit": "100us"},
+    ),
+    "Xsens DOT": Case(
+        table("PacketCounter,SampleTimeFine,Gyr_X,Gyr_Y,Gyr_Z", [7, 8, 9],
+              column(3_000_000_000, 3_000_016_667, 3_000_033_334), W),
+        0.016667, DEG, said=US_STAMPS | {"unit": "deg/s"},
+    ),
+    "times of day": Case(
+        table(f"time;{xyz('gyro_{} [rad/s]', ';')}",
+              ["23:59:59.950", "00:00:00.000", "00:00:00.05"], W, separator=";"),
+        0.05,
+    ),
+}  # fmt: skip
+
+
+def read_case(folder, case, said):
+    path = folder / case.name
+    path.write_text(case.text, encoding="utf-8")
+    return path, fa.read_gyro_log(path, **said)
+
+
+@each("name", CASES)
+def test_formats(tmp_path, name):
+    case = CASES[name]
+    path, log = read_case(tmp_path, case, case.said)
+    # W as written times a factor: two roundings
+    assert np.allclose(log.rates, W * case.scale, rtol=4.5e-16, atol=0.0)
+    # stamps of 1.6e9 s and their differences are whole multiples of 0.25 s here, others small
+    assert np.allclose(log.dt, case.dt, rtol=1e-14, atol=0.0)
+    assert log.summary.startswith(f"{path}: 3 samples at ")
+    assert len(log.summary.splitlines()) == 1
+    if case.accel is None:
+        assert log.accel is None
+    else:
+        assert np.allclose(log.accel, A * case.accel, rtol=6.7e-16, atol=0.0)
+        assert re.search("; accelerometer in (m/s²|g): ", log.summary)
+
+
+@each("name", [name for name, case in CASES.items() if case.said])
+def test_what_a_format_does_not_say_is_asked_for(tmp_path, name):
+    """Each of the arguments that the test before gives."""
+    case = CASES[name]
+    words = {"unit": "has no unit; accepted: unit", "time_unit": "given as time_unit"}
+    words |= {"columns": "columns"}
+    for argument in words.keys() & case.said.keys():
+        given = {key: value for key, value in case.said.items() if key != argument}
+        with pytest.raises(fa.GyroLogError, match=words[argument]):
+            read_case(tmp_path, case, given)
+
+
+GYRO = ("gx (rad/s)", "gy (rad/s)", "gz (rad/s)")
+
+
+def text_of(columns):
+    """A log of columns by name."""
+    rows = zip(*columns.values(), strict=True)
+    return io.StringIO("\n".join(",".join(map(str, row)) for row in [tuple(columns), *rows]))
+
+
+def of_gyro(head, more=None):
+    """A log of columns with these names and three rates; and others."""
+    times = {"t (s)": SECONDS}
+    return text_of(times | dict(zip(head, W.T.tolist(), strict=True)) | (more or {}))
+
+
+@each(
+    ("names", "unit"),
+    [
+        ("gyro_angle_{} [deg]", "deg"),
+        ("gyro_inc_{} [rad]", "rad"),
+        ("gyro_{} [deg/s^2]", "deg/s^2"),
+        ("gyro_{} (rad/s²)", "rad/s²"),
+        ("gyro_{} [rad s^-2]", "rad s^-2"),
+        ("gyro_{}_deg", "deg"),
+        ("gyro_{} [g]", "g"),
+        ("gyro_{} [LSB]", "LSB"),
+        ("gyro_{} (rps)", "rps"),
+        ("gyro_{} (rad/day)", "rad/day"),
+        ("gyro_{} (turns/s)", "turns/s"),
+        ("gyro_{} (kHz)", "khz"),
+    ],
+)
+def test_a_unit_that_is_no_angle_per_time_is_refused(names, unit):
+    head = [names.format(axis) for axis in "xyz"]
+    with pytest.raises(fa.GyroLogError, match=rf"found the unit {re.escape(unit)} in the names of"):
+        fa.read_gyro_log(of_gyro(head))
+    assert np.array_equal(fa.read_gyro_log(of_gyro(head), unit="rad/s").rates, W)
+
+
+@each("names", ["Gyr_{}", "gyroADC[{}]", "gyro_rad_{}", "angular_velocity_{}"])
+def test_columns_without_a_unit_are_refused_outside_of_the_formats(names):
+    """DOT's Gyr_X is degree/s, MTw's is rad/s, and gyroADC of old Betaflight is raw."""
+    head = [names.format(axis) for axis in ("012" if "[" in names else "xyz")]
+    with pytest.raises(fa.GyroLogError, match=r"has no unit; accepted: unit|found the unit rad"):
+        fa.read_gyro_log(of_gyro(head))
+
+
+def with_sensor(names, values=A):
+    return of_gyro(
+        GYRO, {names.format(a): x for a, x in zip("XYZ", values.T.tolist(), strict=True)}
+    )
+
+
+@each(
+    ("names", "scale"),
+    [
+        ("acc_{} (m/s^2)", 1.0),
+        ("acc_{}_mps2", 1.0),
+        ("acc_{}_m/s2", 1.0),
+        ("acc_{}_m_s2", 1.0),
+        ("acc_{}_ms2", 1.0),
+        ("Acc{} (m/s/s)", 1.0),
+        ("a_RS_S_{} [m s^-2]", 1.0),
+        ("acc_{} [cm/s^2]", 1e-2),
+        ("acc_{} [mm/s²]", 1e-3),
+        ("Accelerometer {} (g)", 9.80665),
+        ("acc_{}_mg", 9.80665e-3),
+        # iOS has the opposite sign: SensorLog
+        ("accelerometerAcceleration{}(G)", -9.80665),
+    ],
+)
+def test_an_accelerometer_is_specific_force_in_si(names, scale):
+    """By the unit that its columns are named with, whatever their size."""
+    log = fa.read_gyro_log(with_sensor(names))
+    assert np.allclose(log.accel, scale * A, rtol=4e-16, atol=0.0)
+    assert "; accelerometer in " in log.summary
+
+
+@each(
+    ("names", "why"),
+    [
+        ("geomagnetic_Rotation_Vector_{} (uT)", "of another quantity"),
+        ("Mag_{}", "without a unit"),
+        ("Magnetometer {} (a.u.)", "without a unit"),
+        ("FreeAcc_{} [m/s^2]", "of another quantity"),
+        ("motionUserAcceleration{}(G)", "of another quantity"),
+        ("Linear Acceleration {} (m/s^2)", "of another quantity"),
+        ("linear_acceleration_{} [m/s^2]", "of another quantity"),
+        ("Acc_{}", "without a unit"),
+        ("acc_{} [m/s]", "without a unit"),
+    ],
+)
+def test_what_is_no_specific_force_and_no_magnetic_field_is_left_out(names, why):
+    """By default: columns that are given are read as they are, unless they have a unit."""
+    given = [names.format(axis) for axis in "XYZ"]
+    scale = 9.80665 if "(G)" in names else 1.0
+    log = fa.read_gyro_log(with_sensor(names), accel_columns=given)
+    assert np.allclose(log.accel, scale * A, rtol=4e-16, atol=0.0)
+    log = fa.read_gyro_log(with_sensor(names))
+    assert log.accel is None
+    assert log.mag is None
+    word = "magnetometer" if "mag" in names.lower() else "accelerometer"
+    assert f"; no {word}: {names.format('X')} ... is {why}" in log.summary
+
+
+@each("unit", ["uT", "µT", "nT", "T", "gauss", "mG", "g"])
+def test_a_magnetometer_is_in_the_unit_of_the_log(unit):
+    for names in (f"mag_{{}}_{unit}", f"Magnetometer {{}} ({unit})"):
+        assert np.array_equal(fa.read_gyro_log(with_sensor(names)).mag, A)
+
+
+@each("name", ["T", "T (degC)", "T [°C]", "t [C]"])
+def test_a_temperature_is_no_time(name):
+    columns = {name: [20, 21, 22], **dict(zip(GYRO, W.T.tolist(), strict=True))}
+    with pytest.raises(fa.GyroLogError, match="found no time column and no sample rate"):
+        fa.read_gyro_log(text_of(columns))
+    log = fa.read_gyro_log(text_of({"time (s)": SECONDS} | columns))
+    assert np.allclose(log.dt, 0.01)
+
+
+@each(
+    ("stamps", "what"),
+    [
+        (["03/04/2024 10:00:00", "03/04/2024 10:00:01"], "day and month can be mistaken"),
+        (["3.4.2024 10:00:00", "3.4.2024 10:00:01"], "day and month can be mistaken"),
+        (["2024-123T10:00:00", "2024-123T10:00:01"], "by the day of the year"),
+    ],
+)
+def test_dates_of_other_formats_are_said(stamps, what):
+    columns = {"time": stamps, **dict(zip(GYRO, W[:2].T.tolist(), strict=True))}
+    message = rf"time stamps: found '{stamps[0]}', a date .*{what}; accepted: dates of ISO 8601"
+    with pytest.raises(fa.GyroLogError, match=message):
+        fa.read_gyro_log(text_of(columns))
+
+
+@each("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_utf_16_is_said(encoding):
+    content = of_gyro(GYRO).getvalue().encode(encoding)
+    with pytest.raises(fa.GyroLogError, match="found UTF-16 text; accepted: text in UTF-8"):
+        fa.read_gyro_log(io.BytesIO(content))
+
+
+N = 12
+MIXED = "name,TimeUS,I,GyrX,GyrY,GyrZ,Roll\n" + "".join(
+    f"IMU,{2500 * k},{k % 2},{k},2,3,\nCTUN,{2500 * k + 9},,,,,\nATT,{2500 * k + 3},,0,0,0,7\n"
+    for k in range(N)
+)
+
+
+def test_rows_of_several_kinds_are_chosen():
+    """DataFlash's IMU among others, of two sensors."""
+
+    def read(source=None, **options):
+        return fa.read_gyro_log(io.StringIO(MIXED) if source is None else source, **RAD, **options)
+
+    kinds = r"name tells rows .*: 'ATT', 'CTUN', 'IMU'; acc"
+    for options, message in (
+        ({}, kinds),
+        ({"on_bad_rows": "drop"}, kinds),
+        ({"rows": ("name", "IMU")}, r"I tells rows .*: '0', '1'; accepted: rows=\('I', '0'"),
+        ({"rows": ("name", "GPS")}, "rows: found no row with 'GPS'"),
+        ({"rows": ("kind", "IMU")}, "rows: found 'kind'; accepted: 'name'"),
+    ):
+        with pytest.raises(fa.GyroLogError, match=message):
+            read(**options)
+    with pytest.raises(TypeError, match="rows: found 5; accepted: a column and its text"):
+        read(rows=5)
+    chosen = {"rows": [("name", "IMU"), ("I", 1)]}
+    log = read(**chosen)
+    assert log.rates[:, 0].tolist() == [*range(1, N, 2)]
+    assert np.allclose(log.dt, 0.005)
+    assert np.array_equal(read(pd.read_csv(io.StringIO(MIXED)), **chosen).rates, log.rates)
+
+
+def test_a_label_of_long_spans_tells_no_rows_apart():
+    columns = {"t (s)": 0.01 * np.arange(80), "activity": ["rest"] * 40 + ["walk"] * 40}
+    columns |= dict.fromkeys(GYRO, np.ones(80))
+    assert len(fa.read_gyro_log(columns).t) == 80
+    columns["mode"] = ["a", "b"] * 40
+    with pytest.raises(fa.GyroLogError, match="mode tells rows of several kinds"):
+        fa.read_gyro_log(columns)
+    assert len(fa.read_gyro_log(columns, rows=()).t) == 80
+
+
+def of_packets(counts, stamps=None):
+    stamps = [""] * len(counts) if stamps is None else stamps
+    rows = zip(counts, stamps, strict=True)
+    text = "".join(f"{count}\t{stamp}\t{count}\t2\t3\n" for count, stamp in rows)
+    head = "// Update Rate: 100.0Hz\nPacketCounter\tSampleTimeFine\tGyr_X\tGyr_Y\tGyr_Z\n"
+    return io.StringIO(head + text)
+
+
+def test_a_packet_counter_that_jumps_is_a_gap():
+    """With the header's rate, where SampleTimeFine is empty; 0 follows 65535."""
+    whole = fa.read_gyro_log(of_packets([65534, 65535, 0, 1, 2]), unit="rad/s")
+    assert whole.dt.tolist() == [0.01] * 4
+    assert whole.timing == "100 Hz"
+    counts = [65534, 65535, 0, 3, 4, 5]
+    for given in ({}, {"rate": 100.0}):
+        with pytest.raises(fa.GyroLogError, match=r"PacketCounter in line 6: a gap of 0\.03 s, by"):
+            fa.read_gyro_log(of_packets(counts), unit="rad/s", **given)
+        log = fa.read_gyro_log(of_packets(counts), unit="rad/s", on_bad_rows="split", **given)
+        assert np.allclose(log.t, [0.0, 0.01, 0.02, 0.05, 0.06, 0.07])
+        assert log.pieces == (slice(0, 3), slice(3, 6))
+        assert [event[:2] for event in log.events] == [("gaps", 3)]
+    stamps = [10_000 * k for k in (0, 1, 2, 5, 6, 7)]
+    options = {"time_unit": "us", "on_bad_rows": "split"}
+    log = fa.read_gyro_log(of_packets(counts, stamps), unit="rad/s", **options)
+    assert log.pieces == (slice(0, 3), slice(3, 6))
+    # another counter is one of packets only without time stamps
+    frames = {"counter": [0, 1, 4], **dict.fromkeys(GYRO, np.ones(3))}
+    assert fa.read_gyro_log({"t (s)": [0.0, 0.01, 0.02], **frames}).events == ()
+    refused = "row 2: a gap of 0.015 s, by the packet counter; accepted: a counter without jumps"
+    with pytest.raises(fa.GyroLogError, match=refused):
+        fa.read_gyro_log(frames, rate=100.0, max_gap=1.0)

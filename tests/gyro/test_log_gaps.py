@@ -1,0 +1,157 @@
+"""Rows that are no samples: told apart, and no more of a log lost than them."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+
+import fastatt as fa
+from fastatt.cli import main
+from fastatt.gyro import GyroLogWarning
+from fastatt.gyro.log import GyroLogError
+
+N, H = 1000, 0.01
+T = H * np.arange(N)
+RATES = np.stack([np.sin(T), np.cos(3 * T), 0.1 * T], axis=1)
+NAMES = [f"gyro_{a} [rad/s]" for a in "xyz"]
+
+
+def table(t, rates=RATES, **more):
+    return {"t [s]": t, **dict(zip(NAMES, rates.T, strict=True)), **more}
+
+
+def at_rows(*places):
+    """T with other stamps at some rows."""
+    t = T.copy()
+    for row, stamp in places:
+        t[row] = stamp
+    return t
+
+
+@pytest.mark.parametrize("how", ["refuse", "drop", "split"])
+@pytest.mark.parametrize(("sensor", "unit"), [("mag", "uT"), ("acc", "m/s^2")])
+def test_cells_of_other_sensors_are_left_empty(how, sensor, unit):
+    """A magnetometer at a twentieth of the gyro's rate: all gyro samples stay as they are."""
+    head = ",".join(["t [s]", *NAMES, *(f"{sensor}_{a} ({unit})" for a in "xyz")])
+    lines = [
+        f"{t!r},{','.join(map(repr, w))},{'0.1,0.2,0.3' if k % 20 == 0 else ',,'}"
+        for k, (t, w) in enumerate(zip(T.tolist(), RATES.tolist(), strict=True))
+    ]
+    log = fa.read_gyro_log(io.StringIO("\n".join([head, *lines])), on_bad_rows=how)
+    assert np.array_equal(log.rates, RATES)
+    assert log.pieces == (slice(0, N),)
+    found = log.mag if sensor == "mag" else log.accel
+    assert np.array_equal(np.isfinite(found).all(axis=1), np.arange(N) % 20 == 0)
+    assert np.isnan(found[1]).all()
+
+
+@pytest.mark.parametrize("how", ["drop", "split"])
+@pytest.mark.parametrize(
+    ("places", "lost"),
+    [
+        ([(10, 1e9)], [10]),
+        ([(10, 0.0)], [10]),
+        ([(10, np.nan)], [10]),
+        ([(10, T[14] + 0.1 * H)], [10]),  # ahead of rows to come
+        ([(10, 1e9), (11, 1e9 + H), (12, 1e9 + 2 * H)], [10, 11, 12]),
+        ([(400, -5.0), (700, 5e5)], [400, 700]),
+        ([(300, T[299])], [300]),  # a repeated stamp
+        ([(0, 1e9)], [0]),
+        ([(0, -1e9)], [0]),
+        ([(998, 1e9)], [998]),
+        ([(999, 0.0)], [999]),
+    ],
+)
+def test_an_outlier_costs_its_own_row(how, places, lost):
+    log = fa.read_gyro_log(table(at_rows(*places)), on_bad_rows=how)
+    kept = np.delete(np.arange(N), lost)
+    assert np.array_equal(log.rates, RATES[kept])
+    assert np.allclose(log.t, T[kept] - T[kept[0]], rtol=0.0, atol=1e-6)
+    assert len(log.pieces) == (2 if how == "split" and lost[0] not in (0, 999) else 1) + (
+        how == "split" and len(places) == 2
+    )
+
+
+def test_rows_left_out_divide_a_log_only_where_samples_are_missing():
+    """A repeated row takes the place of none."""
+    twice = np.insert(np.arange(N), [300, 700], [299, 699])
+    repeated = fa.read_gyro_log(table(T[twice], RATES[twice]), on_bad_rows="split")
+    assert repeated.pieces == (slice(0, N),)
+    assert [event[:2] for event in repeated.events] == [
+        ("rows dropped", 300), ("rows dropped", 701)
+    ]  # fmt: skip
+    assert [event[2] for event in repeated.events] == pytest.approx([T[299], T[699]])
+    rates = RATES.copy()
+    rates[500] = np.nan
+    without = fa.read_gyro_log(table(T, rates), on_bad_rows="split")
+    assert without.pieces == (slice(0, 500), slice(500, N - 1))
+
+
+def test_the_sample_rate_leaves_out_gaps():
+    """Of a log with a tenth of its time missing, and of one whose stamps are whole milliseconds."""
+    t = np.where(np.arange(N) < 500, T, T + 0.09)
+    t[700:] += 1.0
+    log = fa.read_gyro_log(table(t), on_bad_rows="drop")
+    assert log.rate == pytest.approx(100.0, rel=1e-9)
+    assert "1000 samples at 100 Hz" in log.summary
+    coarse = np.floor(np.arange(N) / 0.7) * 1e-3
+    assert fa.read_gyro_log(table(coarse)).rate == pytest.approx(700.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("at", [4, 11, 500, 995])
+@pytest.mark.parametrize("to", [0.0, -100.0])
+def test_a_reset_of_the_clock_costs_nothing(at, to):
+    t = np.where(np.arange(N) < at, T, T - T[at] + to)
+    for how in ("drop", "split"):
+        log = fa.read_gyro_log(table(t), on_bad_rows=how)
+        assert np.array_equal(log.rates, RATES)
+        assert np.allclose(log.t, T, rtol=0.0, atol=1e-12)
+        assert log.summary.endswith(f"; 1 clock reset: row {at} at {T[at - 1]:.6g} s")
+        assert log.events == (("clock resets", at, pytest.approx(T[at - 1])),)
+        assert log.pieces == ((slice(0, at), slice(at, N)) if how == "split" else (slice(0, N),))
+
+
+@pytest.mark.parametrize(
+    ("t", "message"),
+    [
+        (at_rows((10, 1e9)), r"row 10 is an outlier"),
+        (np.where(np.arange(N) < 500, T, T - 5.0), "row 500 is decreasing, and the clock goes on"),
+    ],
+)
+def test_what_is_refused_says_what_it_is(t, message):
+    with pytest.raises(GyroLogError, match=message):
+        fa.read_gyro_log(table(t))
+
+
+@pytest.mark.parametrize("how", ["refuse", "drop", "split"])
+@pytest.mark.parametrize("each", [3, 1.6])
+def test_stamps_that_rows_share_are_refused(how, each):
+    """Those of packets, and of a clock too coarse: they do not say when a sample was taken."""
+    with pytest.raises(GyroLogError, match=r"rows share the stamp of the row before.*or rate="):
+        fa.read_gyro_log(table(np.floor(np.arange(N) / each) * H), on_bad_rows=how)
+
+
+def test_repeated_rows_are_no_samples():
+    """A logger that is faster than its gyro."""
+    with pytest.warns(GyroLogWarning, match="1000 of 2000 rows are left out"):
+        log = fa.read_gyro_log(
+            table(np.repeat(T, 2), np.repeat(RATES, 2, axis=0)), on_bad_rows="drop"
+        )
+    assert np.array_equal(log.rates, RATES)
+
+
+@pytest.mark.parametrize(("bad", "warned"), [(10, False), (11, True)])
+def test_more_than_a_hundredth_is_warned_of(bad, warned, tmp_path, capsys):
+    rates = RATES.copy()
+    rates[50 : 50 + bad] = np.nan
+    path, out = str(tmp_path / "log.csv"), str(tmp_path / "q.npy")
+    head = ",".join(["t [s]", *NAMES])
+    np.savetxt(path, np.column_stack([T, rates]), delimiter=",", header=head, comments="")
+    assert main(["integrate", path, "--on-bad-rows", "drop", "-o", out]) == 0
+    found = capsys.readouterr()
+    rows = "11 of 1000 rows are left out (11 rows dropped: line 52 at 0.49 s, line 53 at 0.49 s, "
+    gap = "line 54 at 0.49 s, ...; 1 gap: line 63 at 0.49 s)"
+    assert found.err == (f"fastatt: warning: {path}: {rows}{gap}\n" if warned else "")
+    assert f"; {bad} rows dropped" in found.out

@@ -1,0 +1,300 @@
+"""Reading and writing gyro logs: every layout that is accepted, every refusal in one line."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+
+import numpy as np
+import pytest
+from each import each
+
+from fastatt.gyro.attitudes import write_attitudes
+from fastatt.gyro.log import GyroLogError
+from fastatt.gyro.read import read_gyro_log
+
+EPS = 2.0**-52
+RAD = "wx [rad/s],wy [rad/s],wz [rad/s]"
+DEG = math.radians(1.0)
+RATES = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [-0.7, 0.8, -0.9]])
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rows(separator, first=""):
+    return "\n".join(first + separator.join(map(str, r)) for r in RATES) + "\n"
+
+
+def test_a_comment_that_names_no_gyro_is_none(tmp_path):
+    path = write(tmp_path / "a.csv", f"# a,b,deg/s,d\n{rows(',', '7,')}")
+    log = read_gyro_log(path, columns=["2", "3", "4"], rate=1.0, unit="rad/s")
+    assert log.columns[0] == "column 2"
+
+
+NAMED = {"columns": ["2", "3", "4"], "time_column": "1", "unit": "rad/s"}
+
+
+@each(
+    ("stamps", "unit", "found"),
+    [
+        ([0, 1, 2], "ms", r"1 Hz in s or 1000 Hz in ms or 1e\+04 Hz in 100us or 1e\+06 Hz in us"),
+        ([0, 0.5, 1.0], "s", r"2 Hz in s or 2000 Hz in ms or 2e\+04 Hz in 100us"),
+        ([0, 1e-6, 2e-6, 1e3], "s", r"1e\+06 Hz in s"),
+        ([1e9, 1e9 + 1, 1e9 + 2], "ms", "1 Hz in s or 1000 Hz in ms"),
+        ([0, 5_000_000, 10_000_000], "ns", "0.2 Hz in us or 200 Hz in ns"),
+        ([1_700_000_000_000_000_000 + k for k in (0, 2**40, 2**41)], "ns", "none fits"),
+        ([7], "s", "none fits"),
+    ],
+)
+def test_times_without_a_unit_are_refused_with_the_rates_of_each(tmp_path, stamps, unit, found):
+    path = write(tmp_path / "a.csv", "\n".join(f"{t},1,2,3" for t in stamps))
+    with pytest.raises(GyroLogError, match=rf"a.csv: column 1 has no unit; .*time_unit \({found}"):
+        read_gyro_log(path, **NAMED)
+    if len(stamps) > 1:
+        log = read_gyro_log(path, **NAMED, time_unit=unit, max_gap=np.inf)
+        scale = {"s": 1.0, "ms": 1e-3, "ns": 1e-9}[unit]
+        assert log.t == pytest.approx((np.array(stamps) - stamps[0]) * scale, rel=1e-15)
+
+
+def test_axes_alone_need_a_name_of_their_file(tmp_path):
+    """Sensor Logger's: a folder's name says nothing, and without the file's they are refused."""
+    text = "seconds_elapsed,z,y,x\n0.0,1,2,3\n0.1,1,2,3\n"
+    folder = tmp_path / "gyro"
+    folder.mkdir()
+    for source in (io.StringIO(text), write(folder / "Accelerometer.csv", text)):
+        with pytest.raises(GyroLogError, match="no three columns named like gyro x, y, z among"):
+            read_gyro_log(source)
+    log = read_gyro_log(write(tmp_path / "Gyroscope.csv", text))
+    assert log.rates[0].tolist() == [3.0, 2.0, 1.0]
+    text = text.replace("seconds_elapsed", "time (s)")
+    with pytest.raises(GyroLogError, match="no three columns named like gyro"):
+        read_gyro_log(write(tmp_path / "Gyroscope.csv", text))
+
+
+@pytest.mark.parametrize("rate", [None, 10.0])
+@pytest.mark.parametrize("how", ["refuse", "drop"])
+def test_intervals_are_an_array(rate, how):
+    for n in (2, 3):
+        data = {"t [s]": 0.1 * np.arange(n), "gyro": np.ones((n, 3))}
+        log = read_gyro_log(data, rate=rate, unit="rad/s", on_bad_rows=how)
+        assert isinstance(log.dt, np.ndarray)
+        assert np.allclose(log.dt, [0.1] * (n - 1), rtol=1e-15, atol=0.0)
+        assert log.rate == pytest.approx(10.0)
+
+
+def test_the_unit_of_time_that_is_said_stands_above_a_name(tmp_path):
+    path = write(tmp_path / "a.csv", f"time [s],{RAD}\n0,1,2,3\n2000,1,2,3\n")
+    with pytest.raises(GyroLogError, match=r"time \[s\] gives 0\.0005 Hz in s; .*0\.5 Hz in ms"):
+        read_gyro_log(path)
+    assert read_gyro_log(path, time_unit="us").dt == pytest.approx([2e-3], rel=1e-15)
+
+
+GOOD = f"t [s],{RAD}\n0,1,2,3\n1,1,2,3\n2,1,2,3\n"
+
+
+SENSORS = GOOD.replace("wx", "gx,gy,gz,wx").replace(",3", ",3,1,2,3")
+TWO_TIMES = GOOD.replace("t [s]", "t [s],time [s]").replace("\n", "\n0,")[:-2]
+HUGE = GOOD.replace("2,1,2,3", "1e308,1,2,3").replace("\n0", "\n-1e308")
+REFUSED = [
+    ("", {}, "found no row of numbers"),
+    ("a,b\nc,d\n", {}, "found no row of numbers"),
+    ("t,wx,wy,wz\na,b,c,this is no unit\n1,2,3,4\n", {}, "line 2: found 'a,b,c,this"),
+    ("a,b\n1,2\n", {"rate": 1.0}, "no three columns named like gyro"),
+    (f"{RAD}\n1,2,3\n", {}, "no time column and no sample rate"),
+    (GOOD.replace("2,1,2,3", "2,1,nan,3"), {}, "line 4: wy .rad/s. is 'nan'"),
+    (GOOD.replace("2,1,2,3", "2,1,x,3"), {}, "line 4: wy .rad/s. is 'x'"),
+    (GOOD.replace("1,1,2,3", "1,2,3"), {}, "line 3: found 3 columns; accepted: 4"),
+    (GOOD.replace("1,1,2,3", "1,9,1,2,3"), {}, "line 3: found 5 columns; accepted: 4, as in the f"),
+    (GOOD.replace("t [s],wx", "wx"), {}, "among 4 columns under 3 names; name them"),
+    (HUGE, {"unit": "deg/s", "time_unit": "s"}, "t .s. in line 4, or a number beside it, overflo"),
+    (GOOD.replace("wx", "x" * 9999), {"columns": ["a", "b", "c"]}, "columns: found 'a'"),
+    (GOOD.replace("wz", "wx"), {"columns": ["wx [rad/s]", "3", "1"]}, "columns: found 'wx"),
+    (GOOD, {"columns": "xyz"}, "columns: found 'xyz'; accepted: 3 different columns"),
+    (GOOD, {"columns": ["1", "2", "9" * 9999]}, "columns: found '999"),
+    (GOOD, {"rate": 1e-320}, "rate: found 1e-320; accepted"),
+    (GOOD, {"columns": ["2", "3", "3"]}, "3 different columns"),
+    (GOOD, {"columns": ["1", "2", "9"]}, "a number from 1 to 4"),
+    (GOOD, {"time_column": "T"}, "time column: found 'T'"),
+    (GOOD, {"rate": 0.0}, "rate: found 0.0"),
+    (GOOD, {"rate": float("nan")}, "rate: found nan"),
+    (GOOD, {"unit": "rps"}, "unit: found 'rps'; accepted: rad/s, deg/s"),
+    (GOOD, {"time_unit": "h"}, "time_unit: found 'h'; accepted: s, ms, 100us, us, ns"),
+    (GOOD.partition("\n1,")[0], {}, "at least two"),
+    (GOOD, {"max_gap": 0.5}, "line 3: a gap of 1 s; accepted: at most 0.5 s"),
+    (GOOD, {"max_gap": 0.0}, "max_gap: found 0.0; accepted: a number above 0"),
+    (GOOD, {"on_bad_rows": "keep"}, "bad_rows: found 'keep'; accepted: refuse, drop, split"),
+    (GOOD, {"bias_seconds": 9.0}, "bias_seconds: found all of the log in the first 9 s; accepted"),
+    (GOOD.replace("1,2,3", ".1,0,0"), {"bias_seconds": 0.1}, "found one sample in the first"),
+    (GOOD.replace("[s]", "[min]"), {}, "t .min.: found the unit 'min'"),
+    (SENSORS, {}, "one gyro"),
+    (TWO_TIMES, {}, "than one time column"),
+    (f"wx (deg/s),wy (rad/s),wz (deg/s)\n{rows(',')}", {"rate": 1.0}, "one for all"),
+]
+
+
+@each(("text", "options", "message"), REFUSED)
+def test_refusals(tmp_path, text, options, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        read_gyro_log(write(tmp_path / "a.csv", text), **options)
+    assert len(str(caught.value).splitlines()) == 1
+    assert len(str(caught.value)) < 600
+
+
+@each("options", [{"source": None}, {"source": "a\0b"}, {"rate": "9"}])
+def test_arguments_of_another_type(tmp_path, options):
+    message = "source: found" if "source" in options else "rate:"
+    with pytest.raises(TypeError, match=message):
+        read_gyro_log(**{"source": write(tmp_path / "a.csv", GOOD), **options})
+
+
+def test_large_numbers_are_numbers(tmp_path):
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + "1e308,1e308,1e308\n" * 2)
+    assert read_gyro_log(path, rate=1.0, unit="rad/s").rates.max() == 1e308
+
+
+def test_an_index_without_a_name(tmp_path):
+    """Data frames write one: the names after it belong to the columns after it."""
+    lines = [f"{i},{','.join(map(str, r))}" for i, r in enumerate(RATES)]
+    path = write(tmp_path / "a.csv", "\n".join([f",{RAD}", *lines]))
+    assert np.array_equal(read_gyro_log(path, rate=1.0).rates, RATES)
+
+
+@pytest.mark.parametrize(
+    "head", ["Time (s) Gyr_X [rad/s] Gyr_Y [rad/s] Gyr_Z [rad/s]", "t_s wx_rad/s wy_rad/s wz_rad/s"]
+)
+def test_units_in_brackets_between_blanks(tmp_path, head):
+    lines = [f"{t} {' '.join(map(str, r))}" for t, r in zip((0, 1, 3), RATES, strict=True)]
+    log = read_gyro_log(write(tmp_path / "a.txt", "\n".join([head, *lines])))
+    assert np.array_equal(log.rates, RATES)
+    assert log.t.tolist() == [0.0, 1.0, 3.0]
+
+
+PER_SECOND = "dps °/s deg/sec degrees·per·second deg_s"
+UNITS = [("mdps", 1e3, DEG), ("mrad/s", 1e3, 1.0), ("millidegrees/sec", 1e3, DEG)]
+UNITS += [(u, 3600.0, DEG) for u in ("deg/h", "deg per hour", "°/hr", "arcsec/s", "arcseconds/s")]
+UNITS += [(u.replace("·", " "), 1.0, DEG) for u in PER_SECOND.split()]
+UNITS += [("°/min", 60.0, DEG), ("rpm", 60.0, math.tau), ("rev/s", 1.0, math.tau)]
+UNITS += [("Hz", 1.0, math.tau)]
+
+
+@each(("unit", "seconds", "turned"), UNITS)
+def test_other_units(tmp_path, unit, seconds, turned):
+    """So many seconds at 1 of the unit turn by an angle."""
+    path = write(tmp_path / "a.csv", f"wx ({unit}),wy ({unit}),wz ({unit})\n{rows(',')}")
+    rates = read_gyro_log(path, rate=1.0).rates
+    assert np.abs(rates * seconds - turned * np.array(RATES)).max() <= 4 * EPS * turned * 3.0
+
+
+def test_the_last_letter_of_a_unit_is_no_axis(tmp_path):
+    path = write(tmp_path / "a.csv", f"gyro_x_hz,gyro_y_hz,gyro_z_hz\n{rows(',')}")
+    log = read_gyro_log(path, rate=1.0)
+    assert log.columns == ("gyro_x_hz", "gyro_y_hz", "gyro_z_hz")
+    assert log.unit == "Hz"
+
+
+@pytest.mark.parametrize(
+    ("said", "rate"),
+    [("50.0Hz", 50.0), ("1e3 Hz", 1e3), ("100", 100.0)]
+    + [(s, None) for s in ("1,000 Hz", "0.1 kHz", "1..5", ".", "-50 Hz", "50 per min")],
+)
+def test_sample_rates_in_comments(tmp_path, said, rate):
+    path = write(tmp_path / "a.csv", f"# Sample rate: {said}\n{RAD}\n{rows(',')}")
+    if rate is None:
+        with pytest.raises(GyroLogError, match="no time column and no sample rate"):
+            read_gyro_log(path)
+    else:
+        assert read_gyro_log(path).rate == rate
+
+
+def test_sample_rates_of_others():
+    """Of two rates none is the gyro's for certain; that of a filter or a magnetometer is none."""
+    table = f"# gyro sample rate: 100 Hz\n# {{}}\ngx (rad/s),gy (rad/s),gz (rad/s)\n{rows(',')}"
+    for other in ("mag sample rate: 20 Hz", "Accelerometer sampling rate = 20", "sample rate: 100"):
+        assert read_gyro_log(io.StringIO(table.format(other))).rate == pytest.approx(100.0)
+    with pytest.raises(GyroLogError, match="found the sample rates 100 and 20 Hz; accepted: one"):
+        read_gyro_log(io.StringIO(table.format("sample rate: 20 Hz")))
+    only = table.format("cutoff frequency: 20 Hz").split("\n", 1)[1]
+    with pytest.raises(GyroLogError, match="no time column and no sample rate"):
+        read_gyro_log(io.StringIO(only))
+
+
+@pytest.mark.parametrize(
+    "text", ["\ufeff" + rows(","), '"' + rows('","').replace("\n", '"\n"')[:-1]]
+)
+def test_byte_order_mark_and_quotes(tmp_path, text):
+    path = write(tmp_path / "a.csv", text)
+    log = read_gyro_log(path, rate=1.0, columns=["1", "2", "3"], unit="rad/s")
+    assert np.array_equal(log.rates, RATES)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_gyro_log(tmp_path / "none.csv")
+
+
+def test_no_row_is_lost_after_blank_lines_and_comments(tmp_path):
+    numbers = np.arange(60.0).reshape(20, 3)
+    lines = [f"{k},{','.join(map(str, r))}" for k, r in enumerate(numbers)]
+    lines[5:5] = ["", "# a note", "#9,1,2,3"]
+    lines[12:12] = ["//"] * 8
+    path = write(tmp_path / "a.csv", "row,wx,wy,wz\n" + "\n".join(lines))
+    assert np.array_equal(read_gyro_log(path, rate=1.0, unit="rad/s").rates, numbers)
+
+
+def test_the_line_of_a_bad_row(tmp_path):
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + "1,2,3\n\n" * 6 + "1,inf,3\n1,2,x\n")
+    with pytest.raises(GyroLogError, match=r"line 14: wy \[rad/s\] is 'inf'"):
+        read_gyro_log(path, rate=1.0)
+
+
+def test_numbers_are_rounded_to_nearest(tmp_path):
+    """Numbers at which a product of rounded parts is another double."""
+    random = np.random.default_rng(3)
+    numbers = random.standard_normal((500, 3)) * 10.0 ** random.integers(-12, 1, (500, 3))
+    lines = [",".join(f"{x:.{d}g}" for x, d in zip(r, (15, 17, 20), strict=True)) for r in numbers]
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + "\n".join(lines))
+    rates = read_gyro_log(path, rate=1.0).rates
+    assert np.array_equal(rates, [[float(x) for x in line.split(",")] for line in lines])
+
+
+def test_a_text_needs_pandas_and_a_table_none(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r"tables need pandas; pip install 'fastatt\[logs\]'"):
+        read_gyro_log(write(tmp_path / "a.csv", GOOD))
+    table = {"t [s]": [0.0, 1.0], **{name: [1.0, 1.0] for name in RAD.split(",")}}
+    assert read_gyro_log(table).rates.shape == (2, 3)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npy"])
+@pytest.mark.parametrize("columns", [5, 6])
+def test_written_attitudes_come_back(tmp_path, suffix, columns):
+    rows = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0], [0.1, 0.6, 0.8, 0.0, 1e-300, 1.0]])
+    rows = rows[:, :columns]
+    path = tmp_path / f"a{suffix}"
+    for _ in range(2):  # over one that is there
+        write_attitudes(path, rows)
+    found = np.load(path) if suffix == ".npy" else np.loadtxt(path, delimiter=",", skiprows=1)
+    assert np.array_equal(found, rows)
+    assert [x.name for x in tmp_path.iterdir()] == [path.name]
+
+
+def test_columns_of_other_sensors_can_be_named():
+    table = {"t [s]": [0.0, 0.1], **{f"gyro_{a} [rad/s]": [0.1, 0.1] for a in "xyz"}}
+    table |= {f"f{a}": [9.8, 9.8] for a in "NED"} | {f"B{k}": [k, k] for k in (1, 2, 3)}
+    assert read_gyro_log(table).accel is None
+    log = read_gyro_log(table, accel_columns=["fN", "fE", "fD"], mag_columns=["B3", "B2", "B1"])
+    assert log.accel.tolist() == [[9.8] * 3] * 2
+    assert log.mag.tolist() == [[3.0, 2.0, 1.0]] * 2
+    with pytest.raises(GyroLogError, match=r"mag_columns: found .*; accepted: 3 different columns"):
+        read_gyro_log(table, mag_columns=["B3", "B2"])
+
+
+def test_a_log_prints_a_summary(tmp_path):
+    path = write(tmp_path / "log.csv", GOOD)
+    log = read_gyro_log(path)
+    assert str(log) == log.summary
+    assert log.summary.startswith(f"{path}: 3 samples at 1 Hz")
