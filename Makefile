@@ -101,7 +101,7 @@ pictures: $(VENV)/.test  ## the pages' pictures, five minutes: fastatt/docs/pict
 	$(BIN)/python bench/leaderboard_picture.py
 	$(BIN)/python bench/work_precision.py --draw
 
-hostile: $(VENV)/.test  ## advice where a rate or torque jumps, some 20 minutes: the table of explanations/trade.md
+hostile: $(VENV)/.test  ## advice where a rate or torque jumps, six minutes: the table of explanations/trade.md
 	$(BIN)/python bench/hostile.py
 
 bench-smoke: $(VENV)/.test  ## every bench once, small and untimed

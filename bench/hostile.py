@@ -243,8 +243,8 @@ def report(scenes: int, runs: int, seed: int, seconds: float = float("inf")) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--scenes", type=int, default=8 if SMALL else 300)
-    parser.add_argument("--runs", type=int, default=8 if SMALL else 400)
+    parser.add_argument("--scenes", type=int, default=8 if SMALL else 100)
+    parser.add_argument("--runs", type=int, default=8 if SMALL else 130)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="at most")
     arguments = parser.parse_args()
