@@ -184,8 +184,7 @@ class Formulas:
     @property
     def share(self) -> float:
         """By how much of a step the stepped variables are ahead."""
-        stages = self.job.method.stages
-        return 0.5 * float(stages[-1][1]) if stages else 0.0
+        return self.job.method.ahead
 
     @property
     def regrids(self) -> bool:

@@ -175,8 +175,7 @@ def body_tangent(
 
     if steps.stage is None:
         return whole
-    # the stepped variables are this share of h ahead
-    share = 0.5 * method.stages[-1][1] if method.stages else 0.0
+    share = method.ahead  # of h
 
     def staged(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
         motion, most = moving(p), 0.0

@@ -177,6 +177,11 @@ class Method:
         return self.steps is None and self.window is None
 
     @property
+    def ahead(self) -> float:
+        """By how much of a step the stepped variables of its stages are ahead."""
+        return 0.5 * self.stages[-1][1] if self.stages else 0.0
+
+    @property
     def iterates(self) -> bool:
         """Whether a step is implicit and solved by iteration."""
         return self.steps is not None and self.steps.iterates

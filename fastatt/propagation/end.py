@@ -10,14 +10,13 @@ import json
 import os
 import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.files import writing
+from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
 if TYPE_CHECKING:
@@ -67,10 +66,11 @@ class End:
 def loaded(path: str | os.PathLike[str]) -> End:
     """Read the end of a run from a file.
 
-    Raises ``ValueError`` for another kind of file, ``OSError`` if it can't be read.
+    Raises ``ValueError`` for a folder and another kind of file, ``OSError`` if it can't be read.
     """
+    source = target("run", path)
     try:
-        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        with source.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             about = json.loads(str(file["header"]))
             if about.pop("format") != _FORMAT:
                 raise KeyError("format")

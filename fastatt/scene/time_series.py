@@ -18,8 +18,8 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Double
-from fastatt.tracing.library import unknown_in
 from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.replacements import unknown_in
 
 Numbers = NDArray[np.float64]
 

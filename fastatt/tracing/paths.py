@@ -18,8 +18,8 @@ import numpy as np
 
 from fastatt.tracing.frozen import Freezer, guarded
 from fastatt.tracing.kept import ARITHMETIC, Kept
-from fastatt.tracing.library import BUILTINS, known_names, replaced, unknown_in
 from fastatt.tracing.nodes import RefusedError, TraceError
+from fastatt.tracing.replacements import BUILTINS, known_names, replaced, unknown_in
 from fastatt.tracing.rewriting import rewritten
 from fastatt.tracing.unknown import Recorder, is_number, is_whole
 

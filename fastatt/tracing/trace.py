@@ -16,9 +16,9 @@ from typing import Any
 from fastatt._numba import CPUDispatcher
 from fastatt.tracing import functions, graph
 from fastatt.tracing.frozen import Freezer, guarded
-from fastatt.tracing.library import replaced
 from fastatt.tracing.mathematics import EXTREMES, kind_of
 from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.replacements import replaced
 from fastatt.tracing.rewriting import rewritten
 
 

@@ -361,6 +361,8 @@ def test_wrong_files(tmp_path):
             fa.to_file(path)
     with pytest.raises(TypeError, match="checkpoint: found 3; accepted: a path"):
         fa.propagate(SCENES["free"], Q0, W0, n_steps=2, checkpoint=3, **RK4)
+    with pytest.raises(ValueError, match=r"run: found the directory .*; accepted: a file"):
+        fa.resume(SCENES["free"], tmp_path, n_steps=2)
     file = fa.to_file(tmp_path / "h.npy")
     for on_save, options, message in (
         (file, {}, "on_save: found without saves"),
