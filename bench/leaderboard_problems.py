@@ -22,8 +22,7 @@ import wheel_feedback
 
 import fastatt as fa
 from fastatt.gyro import GyroLog
-from fastatt.trade.ensembles import coning_rates
-from fastatt.trade.reference import coning_attitudes
+from fastatt.trade.ensembles import coning_attitudes, coning_rates
 
 N_BODIES, N_EXACT = 1024, 20
 QUICK_BODIES, QUICK_EXACT = 64, 2
@@ -217,7 +216,7 @@ def _bodies(
 
     def end(k: int, digits: int) -> list[float]:
         start = q0[k].tolist(), w0[k].tolist()
-        state = oracle.integrate(inertia, *start, t_end, torque, digits=digits, step=1.0)
+        state = oracle.integrate(inertia, *start, t_end, torque, digits=digits)
         return [float(x) for x in state.q]
 
     def ends() -> np.ndarray:

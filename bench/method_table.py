@@ -12,8 +12,9 @@ from pathlib import Path
 from peak import peak
 
 from fastatt import METHODS
+from fastatt.propagation.inspect_step import job_of
 from fastatt.threads import default_threads
-from fastatt.trade.ensembles import BODY_SCENES
+from fastatt.trade.ensembles import BODY_SCENES, SAMPLES, problem
 from fastatt.trade.measure import machine_line
 
 # what the rows of an input are called
@@ -44,6 +45,13 @@ def at(ladder: list[dict[str, str]], dt: float) -> dict[str, str] | None:
     return next((r for r in ladder if abs(float(r["dt"]) - dt) < 1e-9), None)
 
 
+def operations(name: str, source: str) -> int | None:
+    """Floating-point operations of a step of one body; None without steps or at samples."""
+    if source == SAMPLES or not METHODS[name].is_stepped:
+        return None
+    return job_of(problem(source, 2).ensemble.scene, name, "quat", "float64").formulas.operations
+
+
 def main(path: Path, *scenes: str) -> None:
     """Print one line a method and input: error at two steps, speed at the smaller, summary once."""
     coarse, fine = STEPS
@@ -62,12 +70,12 @@ def main(path: Path, *scenes: str) -> None:
         # a ladder may begin with smaller steps, or end with larger ones
         errors = [f"{float(x['error_median']):.1e}" if x else "" for x in (first, last)]
         last = last or ladder[-1]
-        speed, operations = float(last["steps_per_second"]), last["operations"]
-        most = default_threads() * peak("double")
-        share = f"{100.0 * speed * float(operations) / most:.0f}" if operations else ""
+        speed = int(last["n_steps"]) / float(last["seconds_per_body"])
+        count, most = operations(name, source), default_threads() * peak("double")
+        share = f"{100.0 * speed * count / most:.0f}" if count else ""
         print(
             f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
-            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} | {operations} | {share} "
+            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} | {count or ''} | {share} "
             f"| {summaries.pop(name, '')} |"
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import fastatt as fa
-from fastatt.trade.reference import coning_attitudes
+from fastatt.trade.ensembles import coning_attitudes
 
 T_END = 10.0
 

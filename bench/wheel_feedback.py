@@ -129,7 +129,7 @@ def truth(start: Start, samples: int, digits: int = 20) -> list[Start]:
             wanted = [STIFFNESS * x + DAMPING * v for x, v in zip(_mrp(q), w, strict=True)]
             u = [min(max(x, -LARGEST_TORQUE), LARGEST_TORQUE) for x in wanted]
             reaction = _reaction(h, u, digits)
-            q, w = oracle.integrate(body, q, w, period, reaction, digits, step=PERIOD)[:2]
+            q, w = oracle.integrate(body, q, w, period, reaction, digits)[:2]
             h = [x + period * y for x, y in zip(h, u, strict=True)]
         return [*found, _state(q, w, h)]
 

@@ -21,13 +21,9 @@ from numba.extending import register_jitable
 
 from fastatt._numba import LOOP, TypingError, compiled, forget, keep
 
-_ARITHMETIC: dict[str, Any] = {
-    "error_model": "numpy",
-    "fastmath": {"contract", "nsz"},
-    "nogil": True,
-}
-_INLINED: dict[str, Any] = {**_ARITHMETIC, "forceinline": True}
-_LOOP: dict[str, Any] = {"error_model": "numpy", "nogil": True, **LOOP}
+_COMMON: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+_INLINED: dict[str, Any] = {**_COMMON, "fastmath": {"contract", "nsz"}, "forceinline": True}
+_LOOP: dict[str, Any] = {**_COMMON, **LOOP}
 
 
 if config.DISABLE_JIT:
@@ -90,33 +86,19 @@ def _kept(dispatcher: Any) -> None:
     """Keep machine code on disk as long as no source of the package changes.
 
     Numba checks the function's own file only, so that callers would not notice an edit of a kernel.
-    Without a writable folder nothing is kept. The folder is determined when a function is first
-    compiled, since doing so for all kernels at import would take as long as importing them.
+    Without a writable folder nothing is kept.
     """
-    compile_signature = dispatcher.compile
-    first = True
-
-    def compile_kept(sig: Any) -> Any:
-        nonlocal first
-        if first:
-            first = False
-            with contextlib.suppress(RuntimeError):
-                keep(dispatcher, _sources())
-        return compile_signature(sig)
-
-    dispatcher.compile = compile_kept
+    with contextlib.suppress(RuntimeError):
+        keep(dispatcher, _sources())
 
 
-def kernel(function: Callable[..., Any], *, cache: bool = True) -> Any:
+def kernel(function: Callable[..., Any]) -> Any:
     """Compile a scalar kernel, which is callable from Python and inlined into any jitted caller.
 
     A kernel takes floats and tuples of floats and keeps their precision. Constants are written
     ``type(x)(0.5)``; an integer would truncate them and is refused.
     """
-    dispatcher = njit(**_INLINED)(function)
-    if cache:
-        _kept(dispatcher)
-    return _of_floats(dispatcher, function.__name__)
+    return _of_floats(function, _INLINED, is_kept=True)
 
 
 def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> Any:
@@ -126,20 +108,26 @@ def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> A
     function into its callers and compiles no machine code for it alone.
     """
     options = {**_INLINED, "fastmath": False, "inline": "always" if spliced else "never"}
-    return _of_floats(njit(**options)(function), function.__name__)
+    return _of_floats(function, options)
 
 
-def _of_floats(dispatcher: Any, name: str) -> Any:
-    """A dispatcher that refuses integers."""
+def _of_floats(
+    function: Callable[..., Any], options: dict[str, Any], *, is_kept: bool = False
+) -> Any:
+    """A compiled function that refuses integers."""
+    dispatcher: Any = njit(**options)(function)
     compile_signature = dispatcher.compile
 
     def compile_floats(sig: Any) -> Any:
         args = sig.args if hasattr(sig, "args") else sig
         if any(_has_integer(ty) for ty in args):
             raise TypingError(
-                f"{name}: found an integer among the arguments {tuple(args)}; "
+                f"{function.__name__}: found an integer among the arguments {tuple(args)}; "
                 "kernels accept float64 or float32 only: write 1.0 instead of 1"
             )
+        # not at import, where looking for the folders of all kernels would double the time
+        if is_kept and not dispatcher.overloads:
+            _kept(dispatcher)
         return compile_signature(sig)
 
     dispatcher.compile = compile_floats

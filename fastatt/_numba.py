@@ -10,16 +10,20 @@ import contextlib
 import functools
 import itertools
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import llvmlite
 import numba
 from llvmlite import ir
+from llvmlite.binding import newpassmanagers as passes
 from numba import types
-from numba.core import cgutils
 from numba.core.caching import FunctionCache
+from numba.core.ccallback import _CFuncCompiler  # type: ignore[attr-defined]
+from numba.core.codegen import AOTCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import TypingError
 from numba.core.imputils import lower_builtin, lower_constant
@@ -35,6 +39,8 @@ LOOP = {"_nrt": False}
 #: held by a thread that compiles, so that two threads do not compile the same
 compiler_lock = global_compiler_lock
 _BYTE = ir.IntType(8)
+#: the value of a type without values, such as None
+NOTHING = ir.Constant(_BYTE.as_pointer(), None)
 _WIDE = '"prefer-vector-width"="512"'
 
 
@@ -55,14 +61,9 @@ def forget(function: Callable[..., Any]) -> None:
     FunctionCache(function).flush()
 
 
-def files_of(function: Callable[..., Any]) -> tuple[Path, Path, Path]:
-    """The folder in which Numba keeps a function with one signature, its index and its code there.
-
-    A search of a full folder takes longer than loading the files.
-    """
-    cache = FunctionCache(function)
-    folder, name = Path(cache.cache_path), cache._impl.filename_base  # noqa: SLF001
-    return folder, folder / f"{name}.nbi", folder / f"{name}.1.nbc"
+def folder_of(function: Callable[..., Any]) -> Path:
+    """The folder in which Numba keeps machine code of the function's file."""
+    return Path(FunctionCache(function).cache_path)
 
 
 def never_kept(module: Any) -> None:
@@ -86,19 +87,51 @@ def never_kept(module: Any) -> None:
 
 def target() -> tuple[str, str, str]:
     """Triple, processor and features for which Numba compiles, on which vectors depend."""
-    triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    triple, name, features = _target().target_context.codegen().magic_tuple()
     return str(triple), str(name), str(features)
+
+
+# since llvmlite 0.45 its pass managers have two bases with this method, of which the first does
+# nothing: each manager would stay, a megabyte for each function that is compiled
+for _managers in (passes.ModulePassManager, passes.FunctionPassManager):
+    _managers._dispose = getattr(passes, "NewPassManager", _managers)._dispose  # noqa: SLF001
+
+
+class _Apart(JITCPUCodegen):  # type: ignore[misc]
+    """Numba's code generator without its engine, which keeps whatever it is given for ever."""
+
+    _library_class = AOTCodeLibrary
+
+    def _add_module(self, module: Any) -> None:
+        pass
+
+
+@functools.cache
+def _target() -> Any:
+    """Numba's target with that code generator."""
+    context = cpu_target.target_context.subtarget(_internal_codegen=_Apart("fastatt"))
+    return SimpleNamespace(
+        options=cpu_target.options,
+        typing_context=cpu_target.typing_context,
+        target_context=context,
+    )
+
+
+def library_of(function: Callable[..., Any], sig: Any) -> tuple[str, Any]:
+    """The library with a function of numbers and addresses, as ``cfunc`` makes it, and its name.
+
+    ``emit_native_object`` of the library gives its machine code.
+    """
+    compiler = _CFuncCompiler(function, _target(), LOOP, {}, Compiler)
+    made = compiler.compile(sig.args, sig.return_type)
+    made.library.finalize()
+    return made.fndesc.llvm_cfunc_wrapper_name, made.library
 
 
 def compiled(dispatcher: Any) -> Callable[..., Any]:
     """The only compiled function of a dispatcher, called without a check of argument types."""
     (made,) = dispatcher.overloads.values()
     return made.entry_point  # type: ignore[no-any-return]
-
-
-def options_of(dispatcher: Any) -> dict[str, Any]:
-    """The options with which a function of the user was decorated."""
-    return {k: x for k, x in dispatcher.targetoptions.items() if k != "nopython"}
 
 
 # instructions
@@ -132,23 +165,15 @@ def prefer_wide_vectors(function: Any) -> None:
     set.add(function.attributes, _WIDE)
 
 
-def numbers_of(builder: Any, value: Any) -> list[Any]:
-    """The items of a tuple."""
-    items: list[Any] = cgutils.unpack_tuple(builder, value)
-    return items
-
-
 def array_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, Any]:
     """The address of an array's first number, and its strides in bytes."""
     array = context.make_array(kind)(context, builder, value)
     return array.data, array.strides
 
 
-@contextlib.contextmanager
-def counted(builder: Any, n: int) -> Iterator[Any]:
-    """Write what is repeated n times; gives the count so far."""
-    with cgutils.for_range(builder, ir.Constant(ir.IntType(64), n)) as step:
-        yield step.index
+def tuple_of(context: Any, builder: Any, kind: Any, values: Any) -> Any:
+    """A tuple of a type of Numba."""
+    return context.make_tuple(builder, kind, values)
 
 
 # a function that writes itself where it is called
@@ -186,7 +211,7 @@ class FormulaType(types.Callable, types.Opaque):  # type: ignore[misc]
 
 @lower_constant(FormulaType)  # type: ignore[untyped-decorator]
 def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
-    return context.get_dummy_value()
+    return NOTHING
 
 
 # the check
@@ -195,7 +220,7 @@ def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
 @functools.cache
 def check() -> None:
     """Try what would fail without a word. Raises ``ImportError`` with the versions."""
-    library = cpu_target.target_context.codegen().create_library("checked")
+    library = _target().target_context.codegen().create_library("checked")
     module = library.create_ir_module("checked")
     never_kept(module)
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), ()), "checked")
@@ -207,11 +232,11 @@ def check() -> None:
     trials = {
         "what tells that code is not to be kept": library.has_dynamic_globals,
         "attributes of functions": _WIDE in str(module),
+        "what adds code to the engine": "_add_module" in vars(JITCPUCodegen),
     }
     with contextlib.suppress(RuntimeError):  # Numba has no folder
         kept = FunctionCache(check.__wrapped__)
         trials["stamps of sources"] = hasattr(kept._cache_file, "_source_stamp")  # noqa: SLF001
-        trials["names of kept files"] = str(kept._impl.filename_base).startswith("_numba.check")  # noqa: SLF001
     for what, holds in trials.items():
         if not holds:
             raise ImportError(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,18 +27,12 @@ from fastatt.scene.torque_record import Dependence
 from fastatt.trade.ensembles import SCENES
 from fastatt.trade.run import run_trade
 
-# kinds of scenes on the command line, and in the records of methods
-_KINDS = {
-    "rate": ("rate",),
-    "free": ("spherical", "symmetric", "free"),
-    "torqued": ("torqued",),
-    "samples": ("sampled rates", "increments"),
-}
 # options of a log that read it
 _READING = (
     "columns", "unit", "rate", "time_column", "time_unit", "rows", "on_bad_rows", "max_gap",
-    "bias_seconds",
 )  # fmt: skip
+# in a message: the word that it is about, one with a sign of equality, or one of two parts
+_ARGUMENT = re.compile(r"(^|(?<=: ))\w+(?=:| is )|\b\w+(?==)|\b\w+_\w+")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -63,9 +58,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = str(error)
         if isinstance(error, OSError) and error.strerror:
             text = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
-        print(f"fastatt: {' '.join(text.split())}", file=sys.stderr)
+        print(f"fastatt: {_with_options(text, vars(arguments))}", file=sys.stderr)
         return 2
     return 0
+
+
+def _with_options(text: str, known: Container[str]) -> str:
+    """A message on one line, with options in place of Python's arguments."""
+
+    def option(match: re.Match[str]) -> str:
+        name = match[0]
+        return f"--{name.replace('_', '-')}" if name in known else name
+
+    return _ARGUMENT.sub(option, " ".join(text.split()))
 
 
 def _print_warning(message: Warning | str, *about: object, **more: object) -> None:
@@ -85,59 +90,34 @@ def _parser() -> argparse.ArgumentParser:
     def command(
         run: Callable[..., None], brief: str, example: str, more: str = ""
     ) -> argparse.ArgumentParser:
+        about, epilog = f"{brief}. {more}", f"example: fastatt {example}"
         name = run.__name__.removeprefix("_")
-        added = commands.add_parser(
-            name,
-            help=brief,
-            description=f"{brief}. {more}",
-            epilog=f"example: fastatt {example}",
-        )
+        added = commands.add_parser(name, help=brief, description=about, epilog=epilog)
         added.set_defaults(run=run)
         return added
 
-    methods = command(_methods, "list the methods and where each fits", "methods --scene free")
-    methods.add_argument("--scene", choices=_KINDS, help="only those for this kind of scene")
-
-    integrate = command(
-        _integrate,
-        "integrate a gyro log to attitudes, body to inertial",
-        "integrate LOG.csv --unit rad/s --rate 100",
+    command(_methods, "list the methods and where each fits", "methods")
+    brief = "integrate a gyro log to attitudes, body to inertial"
+    _add_log(command(_integrate, brief, "integrate LOG.csv --unit rad/s --rate 100"))
+    brief = "measure every method's speed, error and drift"
+    more = (
+        "All fitting methods run on ensembles with a known answer, on quaternions and on matrices, "
+        "for two minutes; a summary, CSV files and pictures are written to a folder."
     )
-    _add_log(integrate)
-
-    trade = command(
-        _trade,
-        "measure every method's speed, error and drift",
-        "trade --scene coning --methods magnus4,rk4 --quick",
-        _TRADE,
-    )
+    trade = command(_trade, brief, "trade --scene coning --methods magnus4,rk4 --quick", more)
     add = trade.add_argument
     add("--scene", action="append", choices=SCENES, help="a scene, may be repeated (default: all)")
     add("--methods", type=_names, help="only these methods, where they fit: rk4,magnus4")
-    add(
-        "-o",
-        "--out",
-        type=Path,
-        default=Path("results"),
-        help="folder for results (default: results)",
-    )
+    out = "folder for results (default: results)"
+    add("-o", "--out", type=Path, default=Path("results"), help=out)
     add("--bodies", type=int, default=512, help="size of the ensembles (default: 512)")
     add("--quick", action="store_true", help="the usual methods with fewer step sizes, 20 s")
     add("--verbose", action="store_true", help="print all rows too")
-    add("-q", "--quiet", action="store_true", help="no progress bar")
-
-    cache = command(
-        _cache, "show where compiled functions are kept and how large they are", "cache", _CACHE
-    )
+    brief = "show where compiled functions are kept and how large they are"
+    more = "FASTATT_CACHE names another folder; FASTATT_CACHE=0 switches it off."
+    cache = command(_cache, brief, "cache", more)
     cache.add_argument("--clear", action="store_true", help="remove them")
     return parser
-
-
-_TRADE = (
-    "All fitting methods run on ensembles with a known answer, on quaternions and on matrices, for "
-    "two minutes; a summary, CSV files and pictures are written to a folder."
-)
-_CACHE = "FASTATT_CACHE names another folder; FASTATT_CACHE=0 switches it off."
 
 
 def _cache(arguments: argparse.Namespace) -> None:
@@ -162,20 +142,14 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
     rows = "read only rows with this text in a column (may be repeated): name=IMU"
     add("--rows", type=_pair, action="append", metavar="COLUMN=TEXT", help=rows)
-    add(
-        "--q0",
-        type=_floats,
-        default=[1.0, 0.0, 0.0, 0.0],
-        help="first attitude: q0,q1,q2,q3 (default: 1,0,0,0)",
-    )
+    q0 = "first attitude: q0,q1,q2,q3 (default: 1,0,0,0)"
+    add("--q0", type=_floats, default=[1.0, 0.0, 0.0, 0.0], help=q0)
     bad_rows = (
         "rows without a rate, stamps that do not increase, gaps: refuse (default), drop (intervals "
-        "span them), split (each piece begins at q0)"
+        "span them)"
     )
     add("--on-bad-rows", choices=ON_BAD_ROWS, default="refuse", help=bad_rows)
     add("--max-gap", type=float, help="longest interval that is not a gap, s")
-    bias = "subtract the mean rate of so many s from the start"
-    add("--bias-seconds", type=float, help=bias)
 
 
 def _names(text: str) -> list[str]:
@@ -196,19 +170,14 @@ def _floats(text: str) -> list[float]:
         raise argparse.ArgumentTypeError(f"found {text!r}; accepted: numbers") from None
 
 
-def _methods(arguments: argparse.Namespace) -> None:
-    kinds = set(_KINDS[arguments.scene] if arguments.scene else sum(_KINDS.values(), ()))
+def _methods(_: argparse.Namespace) -> None:
     lines = [("method", "order", "scenes", "representations")]
-    notes = []
     for m in METHODS.values():
-        if not kinds & set(m.scenes):
-            continue
         order = str(m.order or "exact")
         order += "".join(f", {other} for {kind}" for kind, other in m.orders.items())
         damped = " *" if m.takes is Dependence.DAMPED else ""
         lines.append((m.name, order, ", ".join(m.scenes) + damped, ", ".join(m.representations)))
-        notes.append((m.name, f"{m.summary}. {m.source}"))
-    for rows in (lines, notes):
+    for rows in (lines, [(m.name, f"{m.summary}. {m.source}") for m in METHODS.values()]):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         for row in rows:
             print("  ".join(x.ljust(w) for x, w in zip(row, widths, strict=True)).rstrip())
@@ -217,18 +186,18 @@ def _methods(arguments: argparse.Namespace) -> None:
 
 
 def _integrate(arguments: argparse.Namespace) -> None:
-    q0 = attitudes("--q0", np.array(arguments.q0), "(4,)")
-    choice("--method", arguments.method, methods_for_samples())
+    q0 = attitudes("q0", np.array(arguments.q0), "(4,)")
+    choice("method", arguments.method, methods_for_samples())
     if Path(arguments.log).is_dir():
         raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
     piped = arguments.log == "-"
     name = "log" if piped else arguments.log.removesuffix(".gz")
     out = arguments.out or Path(name).with_suffix(".attitudes.csv")
     if not piped and out.exists() and out.samefile(arguments.log):
-        raise ValueError(f"--out: found {out}, which is LOG; accepted: another file")
+        raise ValueError(f"out: found {out}, which is LOG; accepted: another file")
     check_ending(out)
     log = read_gyro_log(arguments.log, **{name: getattr(arguments, name) for name in _READING})
-    rows = attitude_rows(log, q0, arguments.method, pieces=arguments.on_bad_rows == "split")
+    rows = attitude_rows(log, q0, arguments.method)
     write_attitudes(out, rows)
     print(log.summary)
     print(f"{out}: {len(rows)} attitudes by {arguments.method}, body to inertial, scalar first")
@@ -239,5 +208,5 @@ def _trade(arguments: argparse.Namespace) -> None:
     run_trade(
         arguments.out, scenes=arguments.scene or SCENES, methods=arguments.methods,
         n_bodies=arguments.bodies, quick=arguments.quick, verbose=arguments.verbose,
-        progress=is_watched and not arguments.quiet,
+        progress=is_watched,
     )  # fmt: skip

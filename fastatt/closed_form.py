@@ -92,8 +92,7 @@ def free_body(
     array([-0.144152,  0.611716,  0.777667,  0.016067])
     """
     body = principal(inertia, allow_unphysical=allow_unphysical)
-    _check_above_zero(body)
-    return _at_times(BodySolution(_FREE_BODY, body), q0, w0, t, dtype, n_threads)
+    return _at_times(_free_form(body), q0, w0, t, dtype, n_threads)
 
 
 def symmetric_top(
@@ -108,8 +107,7 @@ def symmetric_top(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Attitude and angular velocity of torque-free bodies with two equal moments, in closed form.
 
-    The motion is a regular precession, which takes two exponentials and less time than
-    :func:`free_body`.
+    The motion is a regular precession. :func:`free_body` takes these bodies, too, and any other.
 
     Parameters
     ----------
@@ -118,8 +116,7 @@ def symmetric_top(
     w0 : array_like of shape (3,) or (N, 3)
         Angular velocities at t = 0 along body axes, rad/s.
     inertia : array_like of shape (3,), (N, 3), (3, 3) or (N, 3, 3)
-        Principal moments, or tensors, kg·m². Two moments are equal within 1e-12 of the largest;
-        their mean is used.
+        Principal moments, or tensors, kg·m². Two moments are equal within 1e-12 of the largest.
     t : float or array_like of shape (T,)
         Time or times, s.
     allow_unphysical : bool, default False
@@ -155,14 +152,13 @@ def symmetric_top(
     ((4,), (3,))
     """
     body = principal(inertia, allow_unphysical=allow_unphysical)
-    _check_above_zero(body)
     refuse(
         body.moments,
         ~is_symmetric(body.moments),
         f"no two moments are equal to {EQUAL:g} of the largest",
         "a symmetric body, or free_body for any other",
     )
-    return _at_times(BodySolution(_SYMMETRIC_TOP, body), q0, w0, t, dtype, n_threads)
+    return _at_times(_free_form(body), q0, w0, t, dtype, n_threads)
 
 
 def heavy_top(
@@ -235,12 +231,11 @@ def heavy_top(
     >>> q.shape, w.shape
     ((4,), (3,))
     """
-    body = principal(inertia, allow_unphysical=allow_unphysical)
-    arms = checks.array("arm", arm, "(3,) or (N, 3)").astype(np.float64)
-    weights = checks.array("weight", weight, "a number or (N,)").astype(np.float64)
-    _same_rows({"arm": arms, "weight": weights[..., None], "inertia": body.moments})
-    form = _heavy_top_form(body, arms, weights[..., None] * (0.0, 0.0, 1.0))
-    return _at_times(form, q0, w0, t, dtype, n_threads)
+    from fastatt.scene.torques import HeavyTop
+
+    torque = HeavyTop(arm, weight)
+    scene = Scene(inertia=inertia, torque=torque, allow_unphysical=allow_unphysical)
+    return _at_times(form_of(scene), q0, w0, t, dtype, n_threads)
 
 
 def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
@@ -300,16 +295,11 @@ def _free(constants: Any, moments: Any, t: Any) -> tuple[Any, Any]:
     return q, tuple(a / b for a, b in zip(m, moments, strict=True))
 
 
-def _symmetric(constants: Any, moments: Any, t: Any) -> Any:
-    return formulas.free_body.symmetric_evaluate(constants, t)
-
-
 def _top(constants: Any, moments: Any, t: Any) -> Any:
     return formulas.heavy_top.evaluate(constants, t)
 
 
 _FREE_BODY = Solution(formulas.free_body.setup_rate, _free)
-_SYMMETRIC_TOP = Solution(formulas.free_body.symmetric_setup, _symmetric)
 _HEAVY_TOP = Solution(formulas.heavy_top.setup, _top, pulled=True)
 
 
@@ -327,14 +317,29 @@ class BodySolution(NamedTuple):
     gain: NDArray[np.float64] = np.zeros(())
 
 
-def _heavy_top_form(
-    body: Principal, arm: NDArray[np.float64], pull: NDArray[np.float64]
-) -> BodySolution:
-    """The closed form of bodies with the lever that ``lever_of`` found.
+def form_of(scene: Scene) -> BodySolution:
+    """The closed form of a scene's motion.
 
-    Raises ``ValueError`` for a body whose arm is not along an axis of symmetry, with its index.
+    Raises ``ValueError``, with the body or the torque, if there is none.
     """
-    top, reach = about_arm(body, arm)
+    if "closed form" not in scene.memo:
+        scene.memo["closed form"] = _form_of(scene)
+    known = scene.memo["closed form"]
+    assert isinstance(known, BodySolution)
+    return known
+
+
+def _form_of(scene: Scene) -> BodySolution:
+    if scene.torque is None:
+        return _free_form(scene.principal)
+    lever = lever_of(scene.torque)
+    if lever is None:
+        raise ValueError(
+            f"torque: found {checks.brief(scene.torque)}; accepted by the closed form: none, or "
+            "HeavyTop or MagneticDipole of numbers"
+        )
+    arm, pull = lever
+    top, reach = about_arm(scene.principal, arm)  # raises for an arm along no axis of symmetry
     _check_above_zero(top)
     pull = reach[..., None] * pull
     # A |w|² grows by 4 |pull| at most
@@ -342,35 +347,9 @@ def _heavy_top_form(
     return BodySolution(_HEAVY_TOP, top, pull, gain)
 
 
-def form_of(scene: Scene) -> BodySolution:
-    """The closed form of a scene's motion.
-
-    Raises ``ValueError``, with the body or the torque, if there is none.
-    """
-    known = scene.memo.get("closed form")
-    if known is None:
-        try:
-            known = _form_of(scene)
-        except ValueError as reason:
-            known = str(reason)
-        scene.memo["closed form"] = known
-    if isinstance(known, str):
-        raise ValueError(known)  # noqa: TRY004
-    assert isinstance(known, BodySolution)
-    return known
-
-
-def _form_of(scene: Scene) -> BodySolution:
-    if scene.torque is None:
-        _check_above_zero(scene.principal)
-        return BodySolution(_FREE_BODY, scene.principal)
-    lever = lever_of(scene.torque)
-    if lever is None:
-        raise ValueError(
-            f"torque: found {checks.brief(scene.torque)}; accepted by the closed form: none, or "
-            "HeavyTop or MagneticDipole of numbers"
-        )
-    return _heavy_top_form(scene.principal, *lever)
+def _free_form(body: Principal) -> BodySolution:
+    _check_above_zero(body)
+    return BodySolution(_FREE_BODY, body)
 
 
 def _check_above_zero(body: Principal) -> None:

@@ -1,4 +1,4 @@
-"""Work in parallel threads, with progress and interruption between its parts.
+"""Calls in parallel threads, with progress and interruption between them.
 
 Compiled loops release the GIL. A small pool of Python threads works under other schedulers too,
 unlike Numba's threads.
@@ -7,11 +7,9 @@ unlike Numba's threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import partial
-from threading import Event
 
 from fastatt import checks
 
@@ -46,31 +44,15 @@ def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
         yield bar.update
 
 
-def each_in_threads(calls: Iterable[Callable[[], object]], n_threads: int) -> None:
+def in_threads(calls: Sequence[Callable[[], object]], n_threads: int) -> None:
     """Make calls in their order; if one raises, those that have not begun are dropped."""
-
-    def task(call: Callable[[], object], stop: Event) -> None:
-        if not stop.is_set():
+    if n_threads == 1 or len(calls) == 1:
+        for call in calls:
             call()
-
-    in_threads([partial(task, call) for call in calls], n_threads)
-
-
-def in_threads(tasks: list[Callable[[Event], None]], n_threads: int) -> None:
-    """Run tasks, each of which checks the event between its parts and stops when it is set."""
-    stop = Event()
-    if n_threads == 1 or len(tasks) == 1:
-        for task in tasks:
-            task(stop)
         return
-    with ThreadPoolExecutor(min(n_threads, len(tasks))) as pool:
-        futures: list[Future[None]] = []
-        try:
-            futures += (pool.submit(task, stop) for task in tasks)
-            for future in futures:
-                future.result()
-        except BaseException:
-            stop.set()
-            for future in futures:
-                future.cancel()
-            raise
+    pool = ThreadPoolExecutor(min(n_threads, len(calls)))
+    try:
+        for future in [pool.submit(call) for call in calls]:
+            future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)

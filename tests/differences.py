@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from exact import conj, mul
 
 # what four displaced values weigh: (8 (f(e) − f(−e)) − (f(2e) − f(−2e)))/12e, of order 4
 STEPS = np.array([1.0, -1.0, 2.0, -2.0])
@@ -21,9 +22,8 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 
 def attitude_errors(reference: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Rotation vectors from one attitude to others: log(reference*∘q), for angles of some 1e-2."""
-    a, b = np.asarray(reference, dtype=float), np.asarray(q, dtype=float)
-    w = a[0] * b[:, 0] + b[:, 1:] @ a[1:]
-    v = a[0] * b[:, 1:] - b[:, :1] * a[1:] - np.cross(a[1:], b[:, 1:])
+    turned = mul(conj(reference), q)
+    v = turned[:, 1:]
     size = np.linalg.norm(v, axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(size, w[:, None])
+    angle = 2.0 * np.arctan2(size, turned[:, :1])
     return v * angle / np.where(size > 0.0, size, 1.0)

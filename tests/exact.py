@@ -199,7 +199,11 @@ def observed_order(error, span=2.0, floor=2e-13, ladder=LADDER, least=3):
     return float(np.polyfit(h, e, 1)[0])
 
 
-# the list of methods
+# methods
+
+RALSTON3 = fa.runge_kutta(
+    "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
+)
 
 # whose step takes half a second to compile: tested where no other formula stands for theirs
 LENGTHY = {m.name for m in fa.METHODS.values() if m.is_stepped and m.order > 8 and m.rate_calls > 4}

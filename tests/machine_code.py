@@ -42,33 +42,33 @@ def job_of(monkeypatch, run):
     return seen.value.args[0]
 
 
-def compiled(job):
-    """Numba's functions of a job: its program and, where it has one, the form for any angle.
+def libraries(job):
+    """Numba's libraries of a job: its program and, where it has one, the form for any angle.
 
     They are compiled in memory: what comes from disk has no text.
     """
-    kept = modules.folder
+    kept, found = modules.folder, []
     modules.folder = lambda: None
     try:
-        with quick.optimised():
+        with quick.optimised(found):
             program = Program(job)
             if job.formulas.any_angle is not None:
                 program.compile_any_angle()
     finally:
         modules.folder = kept
-    return program.functions
+    return found
 
 
 def texts(job):
     """The functions in LLVM's language."""
-    return [function.inspect_llvm() for function in compiled(job)]
+    return [library.get_llvm_str() for library in libraries(job)]
 
 
 def assemblies(job):
     """Their assembly, without the wrappers by which they are called."""
     found = []
-    for function in compiled(job):
-        parts = re.split(r"(?m)^\s*\.globl\s+", function._library.get_asm_str())
+    for library in libraries(job):
+        parts = re.split(r"(?m)^\s*\.globl\s+", library.get_asm_str())
         (own,) = [x for x in parts if re.match(r"_ZN\S*3run", x)]
         found.append(own)
     return found

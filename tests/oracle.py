@@ -7,7 +7,6 @@ columns, matrices mpmath 3×3; floats are taken exactly.
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import mpmath as mp
 import numpy as np
@@ -159,6 +158,17 @@ def quat_matrix(q):
     return mp.matrix([[c[i + 1] for c in images] for i in range(3)]) / norm(q) ** 2
 
 
+def euler313_rate(angles, derivative):
+    """w = (φ̇ sinθ sinψ + θ̇ cosψ, φ̇ sinθ cosψ − θ̇ sinψ, φ̇ cosθ + ψ̇)."""
+    _, t, p = numbers(angles)
+    f, n, s = numbers(derivative)
+    return (
+        f * mp.sin(t) * mp.sin(p) + n * mp.cos(p),
+        f * mp.sin(t) * mp.cos(p) - n * mp.sin(p),
+        f * mp.cos(t) + s,
+    )
+
+
 # rotation vectors
 
 
@@ -206,52 +216,6 @@ def right_jacobian(u, step=mp.mpf(10) ** -20):
 
     columns = [(moved(i, step) - moved(i, -step)) / (2 * step) for i in range(3)]
     return mp.matrix([[c[i] for c in columns] for i in range(3)])
-
-
-# attitude of a given angular velocity
-
-
-def polynomial(*coefficients):
-    """The angular velocity c0 + c1 t + c2 t² + … of 3-vectors, a function of t."""
-    rows = [vec(c) for c in coefficients]
-    return lambda t: [mp.fsum(c[i] * t**n for n, c in enumerate(rows)) for i in range(3)]
-
-
-@cache
-def _interpolation(order):
-    """Chebyshev nodes in [−1, 1] and the matrix from values there to polynomial coefficients."""
-    with mp.workdps(100):
-        n = order + 1
-        nodes = [mp.cos(mp.pi * (2 * k + 1) / (2 * n)) for k in range(n)]
-        return nodes, mp.matrix([[x**k for k in range(n)] for x in nodes]) ** -1
-
-
-def attitude(rate, t0, t1, q0=(1, 0, 0, 0), *, steps=1, order=40, inertial=False):
-    """q(t1) of q̇ = ½ q∘w(t) (½ w∘q where inertial) with q(t0) = q0, by power series.
-
-    ``rate`` gives three numbers for an mpmath time and must be analytic about [t0, t1]. In each
-    step h it is interpolated to the order, and the series of q goes as far: the error falls as
-    (|w| h/4)^order/order! and (h/4r)^order, r the distance to a singularity. More steps show it.
-    """
-    half = (mp.mpf(t1) - mp.mpf(t0)) / steps / 2
-    nodes, inverse = _interpolation(order)
-    q = vec(q0)
-    for k in range(steps):
-        middle = mp.mpf(t0) + (2 * k + 1) * half
-        w = inverse * mp.matrix([list(rate(middle + half * x)) for x in nodes])
-        w = [pure(half * w[n, :]) for n in range(order + 1)]
-        x = [mp.matrix([1, 0, 0, 0])]
-        for n in range(order):
-            pairs = [(w[j], x[n - j]) if inertial else (x[n - j], w[j]) for j in range(n + 1)]
-            total = sum((quat_mul(*pair) for pair in pairs), mp.matrix(4, 1))
-            x.append(total / (2 * (n + 1)))
-        begin = sum((c * (-1) ** n for n, c in enumerate(x)), mp.matrix(4, 1))
-        end = sum(x, mp.matrix(4, 1))
-        if inertial:
-            q = quat_mul(quat_mul(end, quat_conj(begin)), q)
-        else:
-            q = quat_mul(q, quat_mul(quat_conj(begin), end))
-    return q
 
 
 # samples, the same at every run

@@ -8,33 +8,34 @@ from numba import config
 
 from fastatt.codegen import modules
 
-_OPTIMISED = modules.cfunc
+_OPTIMISED = modules.library_of
 _FULL, _NONE = config.OPT, type(config.OPT)(0)
 
 
-def _quick(*signature, **options):
-    compiler = _OPTIMISED(*signature, **options)
-
-    def compiled(function):
-        config.OPT = _NONE
-        try:
-            return compiler(function)
-        finally:
-            config.OPT = _FULL
-
-    return compiled
+def _quick(function, signature):
+    config.OPT = _NONE
+    try:
+        return _OPTIMISED(function, signature)
+    finally:
+        config.OPT = _FULL
 
 
 def use():
     """Compile generated formulas without the optimiser from now on."""
-    modules.cfunc = _quick
+    modules.library_of = _quick
 
 
 @contextlib.contextmanager
-def optimised():
-    """Compile them as users do, for tests that look at machine code."""
-    kept, modules.cfunc = modules.cfunc, _OPTIMISED
+def optimised(libraries):
+    """Compile them as users do, for tests that look at machine code, into a list of libraries."""
+
+    def listed(function, signature):
+        name, library = _OPTIMISED(function, signature)
+        libraries.append(library)
+        return name, library
+
+    kept, modules.library_of = modules.library_of, listed
     try:
         yield
     finally:
-        modules.cfunc = kept
+        modules.library_of = kept

@@ -2,10 +2,10 @@
 
 Everything here comes from definitions, not from the package. ``integrate`` carries the equations to
 a chosen number of digits in gmpy2's numbers, many times as fast as mpmath's, and gives back
-mpmath's. Torques are plain functions (t, q, w) to three components in body axes, and forces
-(t, q, w, v) to three; they take tuples of gmpy2's or mpmath's numbers, floats or arrays over bodies
-alike. Their parameters are floats, taken exactly, or arrays over bodies. Closed forms are mpmath
-numbers, attitudes and rates tuples.
+mpmath's. Torques are plain functions (t, q, w) to three components in body axes, with a mass
+(t, q, w, v, r) as forces are; they take tuples of gmpy2's or mpmath's numbers, floats or arrays
+over bodies alike. Their parameters are floats, taken exactly, or arrays over bodies. Closed forms
+are mpmath numbers, attitudes and rates tuples.
 
 Conventions: q scalar first and unit, v_inertial = q∘v_body∘q*, w in body axes, SI units.
 """
@@ -144,16 +144,17 @@ def equations(inertia, torque=None, *, force=None, mass=None):
     solve = inverse(inertia)
 
     def slope(t, y):
-        q, w, v = y[:4], y[4:7], y[7:10]
+        q, w, v, r = y[:4], y[4:7], y[7:10], y[10:]
         turn = [c / 2 for c in quat_mul(q, (0, *w))]
         moment = cross(times(inertia, w), w)
         if torque is not None:
-            moment = [a + b for a, b in zip(moment, torque(t, q, w), strict=True)]
+            given = (t, q, w) if mass is None else (t, q, w, v, r)
+            moment = [a + b for a, b in zip(moment, torque(*given), strict=True)]
         rates = (*turn, *times(solve, moment))
         if mass is None:
             return rates
         swept = cross(w, v)
-        push = (0, 0, 0) if force is None else force(t, q, w, v)
+        push = (0, 0, 0) if force is None else force(t, q, w, v, r)
         return (*rates, *(push[i] / mass - swept[i] for i in range(3)), *to_inertial(q, v))
 
     return slope
@@ -224,8 +225,8 @@ def _step(slope, t, y, h, tolerance, rows):
     return None, rows
 
 
-def solve(slope, y0, instants, *, start=0, digits=30, step=0.5):
-    """y at each of the instants, of ẏ = slope(t, y), y(start) = y0, as mpmath numbers.
+def solve(slope, y0, instants, *, digits=30, step=0.5):
+    """y at each of the instants, of ẏ = slope(t, y), y(0) = y0, as mpmath numbers.
 
     Gragg's midpoint rule extrapolated in the square of the substep (Bulirsch and Stoer), rows added
     until two agree to 10^−digits of the larger of 1 and |y|; the step follows the number of rows.
@@ -235,7 +236,7 @@ def solve(slope, y0, instants, *, start=0, digits=30, step=0.5):
     rows = max(8, int(0.7 * digits))
     with many_digits(digits + 12):
         tolerance = gmpy2.mpfr(10) ** -digits
-        t, y = to_gmpy2(start), [to_gmpy2(c) for c in y0]
+        t, y = to_gmpy2(0), [to_gmpy2(c) for c in y0]
         h = to_gmpy2(step)
         found = []
         for end in map(to_gmpy2, instants):
@@ -256,20 +257,20 @@ def solve(slope, y0, instants, *, start=0, digits=30, step=0.5):
 
 
 def integrate(
-    inertia, q0, w0, t, torque=None, digits=30, force=None, mass=None, v0=None, *, step=0.5
+    inertia, q0, w0, t, torque=None, digits=30, force=None, mass=None, v0=None, r0=(0, 0, 0)
 ):
     """Motion of one body from t = 0: a State of mpmath numbers for a number t, or a list.
 
-    Floats are taken exactly, mpmath numbers as they are. With a mass the velocity v0 (0 unless
-    given) and the inertial position, from the origin, are carried along.
+    Floats are taken exactly, mpmath numbers as they are. With a mass the velocity v0 and the
+    inertial position r0 are carried along; torque and force are then functions of them too.
     """
     with many_digits(digits + 12):
         slope = equations(quickly(tensor(inertia)), torque, force=force, mass=mass)
     y0 = [*q0, *w0]
     if mass is not None:
-        y0 += [*((0, 0, 0) if v0 is None else v0), 0, 0, 0]
+        y0 += [*v0, *r0]
     single = np.ndim(t) == 0
-    found = solve(slope, y0, [t] if single else t, digits=digits, step=step)
+    found = solve(slope, y0, [t] if single else t, digits=digits)
     states = [State(y[:4], y[4:7], y[7:10] or None, y[10:] or None) for y in found]
     return states[0] if single else states
 
@@ -370,14 +371,6 @@ def total(*torques):
 # closed forms
 
 
-def euler_rate(theta, psi, phi_rate, theta_rate, psi_rate):
-    """w of 3-1-3 angles and their rates."""
-    s, c = mp.sin(psi), mp.cos(psi)
-    across = phi_rate * mp.sin(theta)
-    axial = phi_rate * mp.cos(theta) + psi_rate
-    return across * s + theta_rate * c, across * c - theta_rate * s, axial
-
-
 def symmetric_top(q0, w0, i1, i3, t):
     """(q, w) of the free body (I1, I1, I3): exp(L t/I1)∘q0∘exp(e3 (1/I3 − 1/I1) m3 t)."""
     q0, w0 = oracle.vec(q0), oracle.vec(w0)
@@ -387,20 +380,6 @@ def symmetric_top(q0, w0, i1, i3, t):
     q = oracle.quat_mul(oracle.quat_mul(oracle.quat_exp(fixed), q0), oracle.quat_exp((0, 0, spin)))
     c, s = mp.cos(spin), mp.sin(spin)
     return tuple(q), (c * w0[0] + s * w0[1], c * w0[1] - s * w0[0], w0[2])
-
-
-def heavy_top_precession(i1, i3, theta, w3, torque):
-    """Slow and fast rates φ̇ of regular precession: I1 cos θ φ̇² − I3 w3 φ̇ + m g l = 0, w3 > 0.
-
-    ``torque`` is m g l; ``w3`` the rate about the top's axis, φ̇ cos θ + ψ̇. The fast rate is
-    infinite for a horizontal axis; a top too slow for the angle raises ``ValueError``.
-    """
-    leading, middle = i1 * mp.cos(theta), i3 * mp.mpf(w3)
-    square = middle**2 - 4 * leading * torque
-    if square < 0:
-        raise ValueError(f"no regular precession at this angle: discriminant {square}")
-    root = middle + mp.sqrt(square)
-    return 2 * torque / root, (root / (2 * leading) if leading else mp.inf)
 
 
 # known bodies
@@ -420,55 +399,33 @@ class Body:
         return tuple(m / i for m, i in zip(self.m0, self.inertia, strict=True))
 
 
-def _mpf(*numbers):
-    with mp.workdps(50):
-        return tuple(mp.mpf(x) for x in numbers)
+# t, momentum and attitude, as printed
+OF_BODY_H = """
+1 .36911008085046066592 -.37284632112143345150 .85131860606988927604 .78176140149180933689
+  .11851844622047864698 -.09161551799902148766 .60531734313896588275
+10 .40706613658804081086 .28300742681284407600 .86844916766156164371 .76511103082931145209
+  .37431955148322395406 .10285413145504199651 .51372269905400852650
+"""
+OF_BODY_V = """
+10 1.7659625085182075 -.6954641970330891 .7795549814818711 -.7360613641607939
+  -.5707869512403508 -.2993885718307901 -.2068390861046732
+"""
+
+
+def _states(printed):
+    x = [mp.mpf(number) for number in printed.split()]
+    rows = [x[i : i + 8] for i in range(0, len(x), 8)]
+    return {int(t): (tuple(row[:3]), tuple(row[3:])) for t, *row in rows}
 
 
 with mp.workdps(50):
     # Hairer, Lubich and Wanner, Geometric Numerical Integration
-    BODY_H = Body(
-        (mp.mpf(2), mp.mpf(1), mp.mpf(2) / 3),
-        (mp.cos(mp.mpf("1.1")), mp.mpf(0), mp.sin(mp.mpf("1.1"))),
-        {
-            1: (
-                _mpf(".36911008085046066592", "-.37284632112143345150", ".85131860606988927604"),
-                _mpf(
-                    ".78176140149180933689",
-                    ".11851844622047864698",
-                    "-.09161551799902148766",
-                    ".60531734313896588275",
-                ),
-            ),
-            10: (
-                _mpf(".40706613658804081086", ".28300742681284407600", ".86844916766156164371"),
-                _mpf(
-                    ".76511103082931145209",
-                    ".37431955148322395406",
-                    ".10285413145504199651",
-                    ".51372269905400852650",
-                ),
-            ),
-        },
-        20,
-    )
+    slant = mp.mpf("1.1")
+    moments = mp.mpf(2), mp.mpf(1), mp.mpf(2) / 3
+    BODY_H = Body(moments, (mp.cos(slant), mp.mpf(0), mp.sin(slant)), _states(OF_BODY_H), 20)
     # Hairer and Vilmart, J. Phys. A 39 (2006)
-    BODY_V = Body(
-        _mpf(".6", ".8", "1"),
-        _mpf("1.8", ".4", "-.9"),
-        {
-            10: (
-                _mpf("1.7659625085182075", "-.6954641970330891", ".7795549814818711"),
-                _mpf(
-                    "-.7360613641607939",
-                    "-.5707869512403508",
-                    "-.2993885718307901",
-                    "-.2068390861046732",
-                ),
-            )
-        },
-        16,
-    )
+    moments, m0 = (tuple(map(mp.mpf, x.split())) for x in (".6 .8 1", "1.8 .4 -.9"))
+    BODY_V = Body(moments, m0, _states(OF_BODY_V), 16)
 
 # body H about its intermediate axis, |m| = 1, tipped by ε towards the axis of I = 2
 FLIP_TIMES = {1e-2: 22.57956386, 1e-4: 41.00024457}

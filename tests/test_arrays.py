@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from each import each
 from exact import EPS, angle, exp, matrix, mul
-from oracle import quat_exp, quat_mul
+from oracle import quat_angle, quat_exp, quat_mul
 
 import fastatt as fa
 
@@ -18,16 +18,6 @@ rng = np.random.default_rng(11)
 QUATS = rng.normal(size=(50, 4))
 QUATS /= np.linalg.norm(QUATS, axis=1, keepdims=True)
 TINY = 2.0**-24
-
-
-def mp_angle(p, q):
-    """2 atan2(|v|, |w|) of p*∘q in 40 digits, from the floats as they are."""
-    with mp.workdps(40):
-        a, b = [mp.mpf(float(c)) for c in p], [mp.mpf(float(c)) for c in q]
-        w = mp.fsum(x * y for x, y in zip(a, b, strict=True))
-        minors = [a[i] * b[j] - a[j] * b[i] for i in range(4) for j in range(i + 1, 4)]
-        # |v|² = |p|²|q|² − (p·q)², without the cancellation (Lagrange)
-        return 2 * mp.atan2(mp.sqrt(mp.fsum(m * m for m in minors)), abs(w))
 
 
 @each(
@@ -53,17 +43,6 @@ def test_round_trip(there, back, tail, lead, dtype):
         eps = EPS if dtype is np.float64 else 2 * TINY
         unit = q / np.linalg.norm(q.astype(float), axis=-1, keepdims=True)
         assert angle(unit, again.astype(float)).max() < 8 * eps
-
-
-def test_matrices_are_those_of_the_conventions():
-    """v_i = q∘v_b∘q* = C v_b, and the 3-1-3 angles turn about z, x, z."""
-    assert np.abs(fa.quat_to_dcm(QUATS) - matrix(QUATS)).max() < 4 * EPS
-    u = rng.normal(size=(50, 3)) * 3.0
-    assert np.abs(fa.rotation_vector_to_quat(u) - exp(u)).max() < 4 * EPS
-    angles = rng.uniform(-3.0, 3.0, size=(50, 3))
-    e1, _, e3 = np.eye(3)
-    q = mul(mul(exp(angles[:, :1] * e3), exp(angles[:, 1:2] * e1)), exp(angles[:, 2:] * e3))
-    assert np.abs(fa.euler313_to_quat(angles) - q).max() < 8 * EPS
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -145,11 +124,6 @@ def test_the_zero_quaternion_is_no_attitude():
         assert np.isnan(second).all()
 
 
-def test_views_that_are_not_contiguous():
-    q = np.asfortranarray(QUATS)[::3, ::-1]
-    assert (fa.quat_to_dcm(q) == fa.quat_to_dcm(q.copy())).all()
-
-
 # angles between attitudes
 
 
@@ -160,13 +134,13 @@ def test_angle_between_any_two_quaternions(turn):
     first = QUATS[:10]
     second = mul(first, exp(turn * axis))
     for p, q in zip(first, second, strict=True):
-        known = float(mp_angle(p, q))
+        known = float(quat_angle(p, q))
         for b in (q, -q, 5e-30 * q):
             assert abs(fa.angle_between(p, b) - known) < 1e-15
     identity = np.array([1.0, 0.0, 0.0, 0.0])
     found, known = (
         fa.angle_between(identity, exp(turn * axis)),
-        mp_angle(identity, exp(turn * axis)),
+        quat_angle(identity, exp(turn * axis)),
     )
     if turn > 1e-150:  # to the last digits: from the identity no rounding hides a small turn
         assert found == pytest.approx(float(known), rel=8 * EPS)
@@ -176,7 +150,7 @@ def test_angle_between_any_two_quaternions(turn):
 def test_angle_between_matrices(turn):
     """A matrix rounds by some EPS before the angle is taken, quaternions and matrices mix."""
     q = mul(QUATS, exp(turn * np.array([0.6, -0.48, 0.64])))
-    known = np.array([float(mp_angle(a, b)) for a, b in zip(QUATS, q, strict=True)])
+    known = np.array([float(quat_angle(a, b)) for a, b in zip(QUATS, q, strict=True)])
     assert fa.angle_between(matrix(QUATS), matrix(q)) == pytest.approx(known, abs=12 * EPS)
     assert fa.angle_between(QUATS, matrix(q)) == pytest.approx(known, abs=12 * EPS)
 

@@ -76,15 +76,18 @@ def test_default_output_stands_beside_the_log(log):
     ("arguments", "message"),
     [
         (["integrate", "none.csv"], "No such file or directory: none.csv"),
-        (["integrate", "{log}", "-c", "a,b,c"], "columns: found 'a'; accepted: 'Time (s)'"),
+        (["integrate", "{log}", "-c", "a,b,c"], "--columns: found 'a'; accepted: 'Time (s)'"),
         (["integrate", "{log}", "-c", "1,2"], "accepted: 3 different columns"),
         (["integrate", "{log}", "-m", "rk4"], "--method: found 'rk4'; accepted: hold, trapezoid"),
         (["integrate", "{log}", "--q0", "0,0,0,0"], "--q0 is the zero quaternion"),
         (["integrate", "{log}", "--q0", "1,0,0"], "--q0: has shape (3,); accepted: (4,)\n"),
-        (["integrate", "{log}", "-r", "-5"], "rate: found -5.0"),
+        (["integrate", "{log}", "-r", "-5"], "--rate: found -5.0"),
         (["integrate", "{log}", "-o", "a.txt"], "--out: found the ending '.txt'"),
         (["integrate", "{log}", "-o", "{log}"], "log.csv, which is LOG; accepted: another file"),
-        (["integrate", "{log}", "--max-gap", "1e-6"], "a gap"),
+        (
+            ["integrate", "{log}", "--max-gap", "1e-6"],
+            'with --max-gap=; --on-bad-rows="drop" accepts',
+        ),
         (["integrate", "."], "directory"),
         (["trade", "--bodies", "0"], "--bodies: found 0"),
         (["trade", "--scene", "free", "--methods", "rk4,magnus4"], "--methods: found 'magnus4'"),
@@ -107,7 +110,6 @@ def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, argument
         "integrate",
         "integrate a -u rps",
         "trade --scene moon",
-        "methods --scene moon",
     ],
 )
 def test_usage_errors(line, capsys):
@@ -143,18 +145,6 @@ def test_methods_lists_all(capsys):
     for method in fa.METHODS.values():
         assert f"\n{method.name} " in f"\n{text}"
         assert method.summary in text
-
-
-@each(
-    "line",
-    ["rate magnus4 strang2", "free dmv2 magnus4", "torqued strang2 dmv2", "samples coning2 rk4"],
-)
-def test_methods_of_a_scene(capsys, line):
-    scene, own, other = line.split()
-    assert main(["methods", "--scene", scene]) == 0
-    text = f"\n{capsys.readouterr().out}"
-    assert f"\n{own} " in text
-    assert f"\n{other} " not in text
 
 
 def test_methods_say_what_they_take(capsys):

@@ -24,8 +24,7 @@ MODULES = [
 #: methods that packages of the library call on each other's objects
 INTERNAL = {
     "Event": {"frozen", "watch"},
-    "Plan": {"calls", "end", "equations", "is_short", "pool", "results", "started", "steps",
-             "times", "trajectory", "warn_after", "warn_of_first", "width"},
+    "Plan": {"end", "equations", "results", "started", "steps", "times", "trajectory", "width"},
     "Scene": {"carried", "dependence", "memo", "packed"},
     "TimeSeries": {"numbers_at", "traced_at"},
 }  # fmt: skip

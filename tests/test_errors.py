@@ -71,11 +71,38 @@ def test_propagate(arguments, error, message):
     assert len(str(caught.value)) < 400
 
 
+MOMENTS, SPIN = (0.6, 0.8, 1.0), [0.9, -0.4, 1.2]
+BODY, TWO = fa.Scene(inertia=MOMENTS), fa.Scene(inertia=[MOMENTS] * 2)
+DAMPING, DAMPINGS = fa.torques.Damping(0.1), fa.torques.Damping([[0.1], [0.2]])
+DAMPED = fa.Scene(inertia=MOMENTS, torque=DAMPING)
+BODIES = [
+    ({"w0": None}, "w0: is missing; a scene with inertia needs (3,) or (N, 3), rad/s"),
+    ({"w0": [1.0, 2.0]}, "w0: has shape (2,); accepted: (3,) or (N, 3)"),
+    ({"w0": np.zeros((0, 3))}, "w0: has shape (0, 3)"),
+    ({"w0": [SPIN, [0.0, INF, 0.0]]}, "w0[1, 1] is inf; accepted: finite numbers"),
+    ({"w0": "fast"}, "w0: found 'fast'; accepted: real numbers of shape (3,)"),
+    ({"scene": SCENE}, "w0: found, but this scene has none; a scene with inertia"),
+    ({"q0": [Q] * 2, "w0": [SPIN] * 3}, "w0: found rows w0 3, q0 2; accepted: one number of"),
+    ({"scene": TWO, "q0": [Q] * 5}, "inertia: found 2 bodies; accepted: 5"),
+    ({"method": "magnus4"}, "method: found 'magnus4'; accepted: rk4, cf4"),
+    ({"scene": DAMPED, "method": "dmv2"}, "method: found 'dmv2'; accepted: rk4, cf4, rkmk4"),
+    ({"method": "strang2", "representation": "euler313"}, 'method for representation "euler313"'),
+    ({"method": "strang2", "representation": "dcm_rows"}, 'method for representation "dcm_rows"'),
+]
+
+
+@each(("arguments", "message"), BODIES)
+def test_propagate_bodies(arguments, message):
+    with pytest.raises((TypeError, ValueError), match=re.escape(message)):
+        propagate(**{"scene": BODY, "w0": SPIN} | arguments)
+
+
 DIRECTIONS = [
     ({"v0": [1.0, 2.0]}, ValueError, "v0: has shape (2,); accepted: (3,), (M, 3) or (N, M, 3)"),
     ({"v0": [0.0, NAN, 1.0]}, ValueError, "v0[1] is nan"),
     ({"scene": generic(3).scene}, ValueError, "parameters for 3 bodies"),
     ({"scene": generic(3).scene, "v0": np.ones((2, 5, 3))}, ValueError, "parameters for 3 bodies"),
+    ({"scene": BODY}, ValueError, "scene: found inertia, mass or states; accepted: a scene with"),
 ]
 
 
@@ -88,12 +115,12 @@ def test_propagate_directions(arguments, error, message):
 
 R = fa.rates
 SCENES = [
-    ({"rate": 3.0}, TypeError, "rate: found float; accepted is a model of fastatt.rates (Coning"),
+    ({"rate": 3.0}, TypeError, "rate: found float; accepted: a model of fastatt.rates (Coning"),
     ({"rate": None}, ValueError, "rate, inertia: found neither; accepted: one of them"),
-    ({"rate": R.Constant([1, 2])}, ValueError, "rate: Constant.w has shape (2,); accepted are (3,"),
+    ({"rate": R.Constant([1, 2])}, ValueError, "rate: Constant.w: has shape (2,); accepted: (3,"),
     ({"rate": R.Constant([1, NAN, 3])}, ValueError, "rate: Constant.w[1] is nan"),
     ({"rate": R.Constant("x")}, TypeError, "rate: Constant.w: found 'x'"),
-    ({"rate": R.Polynomial(np.zeros((0, 3)))}, ValueError, "Polynomial.coefficients has shape (0"),
+    ({"rate": R.Polynomial(np.zeros((0, 3)))}, ValueError, "Polynomial.coefficients: has shape (0"),
     ({"rate": len}, TypeError, "rate: found <built-in function len>; accepted: a function rate(t"),
     ({"inertia": [1e300, 1e300, 1e300]}, ValueError, "inertia: found 1e+300; accepted: up to"),
     (
@@ -101,14 +128,18 @@ SCENES = [
         ValueError,
         "mass is 5e-324; accepted: above 0",
     ),
-    ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "rate: Polynomial.coefficients has shape (3,)"),
+    ({"rate": R.Polynomial([1, 2, 3])}, ValueError, "Polynomial.coefficients: has shape (3,)"),
     ({"rate": R.Coning([1, INF], 1)}, ValueError, "rate: Coning.angle[1] is inf"),
     ({"rate": R.Coning([1, 2], [1, 2, 3])}, ValueError, "rate: Coning: found parameters for 2 and"),
     ({"rate": R.Slew([1, 2, 3], [1.0, -2.0])}, ValueError, "rate: Slew.duration[1] is -2.0"),
-    ({"rate": R.Sum(())}, ValueError, "rate: Sum.terms is empty"),
-    ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w has shape (2,)"),
+    ({"rate": R.Sum((R.Constant([1, 2]),))}, ValueError, "rate: Sum: Constant.w: has shape (2,)"),
     ({"rate": R.Constant([0, 0, 1]), "frame": "space"}, ValueError, "frame: found 'space'; accept"),
     ({"rate": R.Constant([0, 0, 1]), "params": [1]}, ValueError, "params: found [1] with the mode"),
+    ({"rate": R.Constant(SPIN), "inertia": MOMENTS}, ValueError, "rate, inertia: found both"),
+    ({"rate": R.Constant(SPIN), "torque": DAMPING}, ValueError, "torque: found with a rate"),
+    ({"torque": DAMPING}, ValueError, "rate, inertia: found neither, with a torque, which needs"),
+    ({"inertia": MOMENTS, "frame": "inertial"}, ValueError, 'frame: found "inertial" with inertia'),
+    ({"inertia": [MOMENTS] * 4, "torque": DAMPINGS}, ValueError, "parameters for 2 and 4 bodies"),
 ]
 
 
@@ -178,7 +209,7 @@ def test_another_number_of_arguments_is_said_to_be_so():
 @each(
     ("params", "error", "message"),
     [
-        (np.ones((2, 2, 3)), ValueError, "params: has shape (2, 2, 3); accepted are (P,) and (N, "),
+        (np.ones((2, 2, 3)), ValueError, "params: has shape (2, 2, 3); accepted: (P,) or (N, P"),
         ("ab", TypeError, "params: found 'ab'"),
         (np.ones((0, 3)), ValueError, "params: has shape (0, 3)"),
     ],

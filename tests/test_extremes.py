@@ -5,7 +5,6 @@ Scenes are of the types that the tests of methods use, for which all is compiled
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +95,7 @@ def test_samples(method, scene):
         assert complaints(cells(Case(method), scene)) == []
 
 
-@each("method", ["lie_euler", "rkmk4"])
+@each("method", [m.name for m in fa.METHODS.values() if m.exponentials and "rate" in m.scenes])
 def test_a_rate_that_is_known_to_be_constant(method):
     """One exponential is the whole answer at any angle, but of a method whose equation is not."""
     record = fa.METHODS[method]
@@ -137,25 +136,6 @@ def test_a_splitting_that_samples_a_torque_too_seldom_is_wrong_but_for_its_statu
         assert theta < 7.0 or found.status.all()
         wrong.append(Outcome(found.error, found.allowed, 0 * found.status).wrong.any())
     assert any(wrong)
-
-
-@each("method", SPLITTINGS)
-def test_a_splitting_warns_of_large_steps_under_a_torque(method):
-    sphere = {"inertia": (1.0, 1.0, 1.0)}
-    pulled = fa.Scene(**sphere, torque=fa.torques.MagneticDipole((0.01, 0, 0), (0, 0, 1.0)))
-    limit = fa.METHODS[method].limits["torqued"]
-    for scene, size, flagged in (
-        (fa.Scene(**sphere), 30.0, False),
-        (pulled, 0.9 * limit, False),
-        (pulled, 1.1 * limit, True),
-    ):
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            run = fa.propagate(scene, START, (0.0, 0.0, size), dt=1.0, n_steps=4, method=method)
-        assert run.status.any() == flagged
-        assert [w.category for w in said] == [fa.StepWarning] * flagged
-        if flagged:
-            assert f"{method}'s limit is {limit:.3g}" in str(said[0].message)
 
 
 @each("method", SPLITTINGS)

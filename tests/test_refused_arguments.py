@@ -13,11 +13,10 @@ from fastatt import estimation as es
 from fastatt import interchange as ic
 from fastatt.estimation import mean_attitude
 from fastatt.interchange import to_scipy
-from fastatt.interchange.aem import aem_of
+from fastatt.interchange.aem import to_aem
 
 Q, W, P = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.1, 0.2, 0.3]), 0.01 * np.eye(6)
 BODY = fa.Scene(inertia=(2.0, 1.0, 0.7))
-TOP = fa.Scene(inertia=(1.0, 1.0, 0.6), torque=fa.torques.HeavyTop((0.0, 0.0, 0.1), 2.0))
 RUN = fa.propagate(BODY, Q, W, dt=0.1, n_steps=4, save_every=1, method="rk4")
 HOSTILE = [
     None, True, -1, 10**400, np.nan, 1e300, 1j, "", "abc", b"x", {}, [[1, 2, 3], [4, 5]], ["a"],
@@ -47,7 +46,7 @@ CALLS = {
     "TimeSeries": (fa.TimeSeries, {"t": np.arange(3.0), "values": np.ones(3), "slopes": None}),
     "Scene": (fa.Scene, {"inertia": (2.0, 1.0, 0.7), "allow_unphysical": False}),
     "interpolate": (fa.interpolate, {"t": RUN.t, "q": RUN.q, "w": RUN.w, "times": 0.25}),
-    "aem_of": (aem_of, {"run": RUN, "epoch": "2026-01-01", "frame": "ICRF", "body": 0}),
+    "to_aem": (to_aem, {"run": RUN, "epoch": "2026-01-01", "frame": "ICRF", "body": 0}),
     "drift": (fa.drift, {"run": RUN, "scene": BODY}),
     "dataframe": (ic.dataframe, {"run": RUN}),
     "to_jpl": (ic.to_jpl, {"q": Q}),
@@ -58,7 +57,7 @@ CALLS = {
     ),
     "angle_between": (fa.angle_between, {"a": Q, "b": Q}),
     "attitude_error": (es.attitude_error, {"q": Q, "q_true": Q}),
-    "gyro_motion": (es.gyro_motion, {"gyro": W, "dt": 0.1, "n_threads": None}),
+    "gyro_motion": (es.gyro_motion, {"gyro": W, "dt": 0.1}),
     "moved": (es.gyro_motion(W, 0.1), {"q": [Q, Q], "y": np.zeros((2, 3))}),
     "scene_motion": (
         es.scene_motion, {"scene": BODY, "dt": 0.1, "n_steps": 1, "method": None, "t0": 0.0},
@@ -71,6 +70,19 @@ CALLS = {
     "body_tangent": (
         es.body_tangent,
         {"scene": BODY, "q0": Q, "w0": W, "dt": 0.1, "method": "rk4", "parameters": False},
+    ),
+    "right_jacobian": (es.right_jacobian, {"u": W}),
+    "transition_matrix": (es.transition_matrix, {"w": W, "dt": 0.1}),
+    "process_noise": (
+        es.process_noise, {"w": W, "dt": 0.1, "angle_noise": 0.1, "bias_noise": 0.1},
+    ),
+    "covariance_to_body": (es.covariance_to_body, {"covariance": P, "q": Q}),
+    "preintegrate": (
+        es.preintegrate,
+        {
+            "gyro": np.ones((4, 3)), "accel": np.ones((4, 3)), "dt": 0.1, "gyro_noise": 0.1,
+            "gyro_bias": W,
+        },
     ),
     "predict_covariance": (
         es.predict_covariance,
@@ -95,6 +107,7 @@ def test_a_refusal_names_its_argument(name):
             named = "|".join([argument, *filter(None, [BESIDE.get(name)])])
             assert re.search(rf"(?<!\w)({named})(?!\w)", text), (argument, value, text)
             assert "\n" not in text
+            assert re.search("accepted|is missing", text), text
 
 
 @pytest.mark.parametrize("value", [None, 5, b"a", "a\0b"])

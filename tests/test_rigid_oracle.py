@@ -9,7 +9,6 @@ import rigid_oracle as ro
 
 ONE = (1, 0, 0, 0)
 START = (0.5, -0.5, 0.5, 0.5)
-INERTIA = (0.6, 0.8, 1.0)
 TENSOR = ((0.7, 0.05, -0.1), (0.05, 0.8, 0.02), (-0.1, 0.02, 0.9))
 SPIN = (0.9, -0.4, 1.2)
 TORQUES = {
@@ -51,10 +50,10 @@ def test_newton():
     v0, mass, force = (0.3, -0.1, 0.2), 2.0, (0.5, 0.25, -1.0)
     start = ro.to_inertial(START, oracle.vec(v0))
 
-    def pull(t, q, w, v):
+    def pull(t, q, w, v, r):
         return ro.to_body(q, force)
 
-    arguments = (TENSOR, START, SPIN, 2.0, ro.potential_v)
+    arguments = (TENSOR, START, SPIN, 2.0, lambda t, q, w, v, r: ro.potential_v(t, q, w))
     state = ro.integrate(*arguments, force=pull, mass=mass, v0=v0, digits=18)
     speed = ro.to_inertial(state.q, state.v)
     assert gap(speed, [start[i] + force[i] for i in range(3)]) < 1e-16

@@ -64,14 +64,12 @@ def test_a_turn_beyond_precision_is_flagged(way, dtype, lost):
 def test_half_the_digits_are_told_of(dtype):
     t = EPS[dtype] ** -0.5
     for factor, n in ((0.9, 0), (1.1, 1)):
-        for function in (fa.closed_form.free_body, fa.closed_form.symmetric_top):
-            inertia = (2.0, 1.0, 1.0)
-            _, texts = told(
-                lambda f=function, k=factor, i=inertia: f(
-                    Q, rates(1.0), i, [0.0, -k * t], dtype=dtype
-                )
+        _, texts = told(
+            lambda k=factor: fa.closed_form.free_body(
+                Q, rates(1.0), (2.0, 1.0, 1.0), [0.0, -k * t], dtype=dtype
             )
-            assert len(texts) == n
+        )
+        assert len(texts) == n
         scene = fa.Scene(rate=fa.rates.Constant(rates(factor * t)))
         run, texts = told(
             lambda s=scene: fa.propagate(s, Q, dt=1.0, n_steps=1, method="magnus4", dtype=dtype)

@@ -13,11 +13,11 @@ from typing import Any
 from fastatt import arrays
 from fastatt.attitudes.attitude import Attitude, composed, coordinate_speed, same
 from fastatt.tracing.formulas import (
-    Kernels,
     Vector,
     dcm,
     dot,
     euler313,
+    kernels,
     mrp,
     opposite,
     plus,
@@ -25,7 +25,7 @@ from fastatt.tracing.formulas import (
 )
 from fastatt.tracing.graph import apply, choose
 
-compensated: Any = Kernels("compensated")
+compensated = kernels("compensated")
 
 
 def norm_error(q: Vector) -> Any:

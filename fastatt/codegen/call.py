@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from fastatt._numba import array_of, numbers_of
+from fastatt._numba import NOTHING, array_of
 
 #: Numba's types by the names of precisions
 TYPES = {"double": types.float64, "single": types.float32}
@@ -25,14 +25,15 @@ def call(typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any) 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address, number, arrays, integers = args
         given = [number]
-        for kind, value in zip(memory.types, numbers_of(builder, arrays), strict=True):
+        for i, kind in enumerate(memory.types):
+            value = builder.extract_value(arrays, i)
             if isinstance(kind, types.Array):
                 given.append(array_of(context, builder, kind, value)[0])
             else:
                 given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
-        given += numbers_of(builder, integers)
+        given += [builder.extract_value(integers, i) for i in range(len(numbers))]
         of = ir.FunctionType(ir.VoidType(), [x.type for x in given]).as_pointer()
         builder.call(builder.inttoptr(address, of), given)
-        return context.get_dummy_value()
+        return NOTHING
 
     return types.void(entry, part, memory, numbers), lower

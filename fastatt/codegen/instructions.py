@@ -15,6 +15,11 @@ BIT = ir.IntType(1)
 REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
+def alike(kind: Any, element: Any) -> Any:
+    """An element's type, or that of as many as a type has if it is a vector's."""
+    return ir.VectorType(element, kind.count) if isinstance(kind, ir.VectorType) else element
+
+
 def prepare_for_vectors(function: Any) -> None:
     """Let a function keep whole vectors, in registers and, if there are too few, on its stack.
 
@@ -64,51 +69,74 @@ class Code:
         """An element."""
         return self.b.load(self.place(pointer, index))
 
-    def constant_load(self, pointer: Any, index: Any) -> Any:
-        """An element of an array that does not change during a call of the function."""
-        loaded = self.load(pointer, index)
+    def constant_load(self, pointer: Any, index: Any, n: int = 1) -> Any:
+        """An element, or n doubles, of an array that does not change during a call."""
+        loaded = self.vector("double", pointer, index, n, align=8)
         loaded.set_metadata("invariant.load", self.module.add_metadata([]))
         return loaded
 
-    def gather(self, pointer: Any, index: Any) -> Line:
-        """Doubles of an array that does not change, at a vector of indices."""
-        n, kind = index.type.count, REALS["double"]
-        many, bits = ir.VectorType(kind, n), ir.VectorType(BIT, n)
-        # LLVM before 17 has pointers to a type, which the names of its functions hold
-        is_opaque, suffix = str(pointer.type) == "ptr", _suffix(many)
-        at = ir.VectorType(ir.PointerType() if is_opaque else pointer.type, n)
-        places = Line(self.b, at, f"getelementptr {kind}, {_typed(pointer)}, {_typed(index)}")
-        name = f"v{n}p0{'' if is_opaque else suffix.removeprefix(f'v{n}')}"
-        arguments = [at, I32, bits, many]
-        function = self.declared(f"llvm.masked.gather.{suffix}.{name}", many, arguments)
-        every, none = ir.Constant(bits, [1] * n), ir.Constant(many, ir.Undefined)
-        return self.call(function, [places, ir.Constant(I32, 8), every, none])
+    def columns(self, rows: Sequence[Any], n: int) -> list[Any]:
+        """Vectors of the first, second, ... of the n numbers of rows; sizes are powers of two."""
+        if n == 1:
+            return [self.vector_of(rows)]
+        m, step = len(rows), 1
+        columns = [self._joined(rows[i::n]) for i in range(n)]
+        while step < n:
+            # what lies ``step`` to the right in one vector goes to the one ``step`` further
+            left = [k if not k & step else m + k - step for k in range(m)]
+            right = [k + step if not k & step else m + k for k in range(m)]
+            for i in range(n):
+                if not i & step:
+                    pair = columns[i], columns[i + step]
+                    columns[i] = self._shuffled(*pair, left)
+                    columns[i + step] = self._shuffled(*pair, right)
+            step *= 2
+        return columns
+
+    def _joined(self, vectors: Sequence[Any]) -> Any:
+        """The numbers of vectors, one after the other."""
+        while len(vectors) > 1:
+            every = range(2 * vectors[0].type.count)
+            pairs = zip(vectors[::2], vectors[1::2], strict=True)
+            vectors = [self._shuffled(a, b, every) for a, b in pairs]
+        return vectors[0]
+
+    def _shuffled(self, a: Any, b: Any, places: Sequence[int]) -> Any:
+        mask = ir.Constant(ir.VectorType(I32, len(places)), list(places))
+        return self.b.shuffle_vector(a, b, mask)
 
     def store(self, pointer: Any, index: Any, value: Any) -> None:
         """Change an element."""
         self.b.store(value, self.place(pointer, index))
 
-    def vector(self, kind: str, pointer: Any, index: Any, n: int) -> Any:
-        """n successive elements, aligned to the size of the vector, or one element."""
+    def vector(self, kind: str, pointer: Any, index: Any, n: int, *, align: int = 0) -> Any:
+        """n successive elements, aligned to the size of the vector by default, or one element."""
         if n == 1:
             return self.load(pointer, index)
         many = ir.VectorType(REALS[kind], n)
-        return self.b.load(self._as_vector(many, pointer, index), align=_aligned(many))
+        return self.b.load(self._as_vector(many, pointer, index), align=align or _aligned(many))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change as many successive elements as the value has."""
-        if not isinstance(value.type, ir.VectorType):
+        if isinstance(value.type, ir.VectorType):
+            at = self._as_vector(value.type, pointer, index)
+            self.b.store(value, at, align=_aligned(value.type))
+        else:
             self.store(pointer, index, value)
-            return
-        at = self._as_vector(value.type, pointer, index)
-        self.b.store(value, at, align=_aligned(value.type))
 
     def _as_vector(self, kind: Any, pointer: Any, index: Any) -> Any:
         return self.b.bitcast(self.place(pointer, index), kind.as_pointer())
 
-    def real(self, kind: str, value: float) -> Any:
-        """A constant."""
-        return ir.Constant(REALS[kind], value)
+    def lane(self, vector: Any, k: int) -> Any:
+        """The number in a lane."""
+        return self.b.extract_element(vector, ir.Constant(I32, k))
+
+    def vector_of(self, numbers: Sequence[Any]) -> Any:
+        """A vector of numbers."""
+        vector: Any = ir.Constant(ir.VectorType(numbers[0].type, len(numbers)), ir.Undefined)
+        for k, x in enumerate(numbers):
+            vector = self.b.insert_element(vector, x, ir.Constant(I32, k))
+        return vector
 
     def splat(self, value: Any, n: int) -> Any:
         """A vector of n equal values, or the value itself if n is 1."""
@@ -123,9 +151,7 @@ class Code:
 
     def cast(self, kind: str, value: Any) -> Any:
         """A number, or a vector of numbers, in a precision."""
-        to = REALS[kind]
-        if isinstance(value.type, ir.VectorType):
-            to = ir.VectorType(to, value.type.count)
+        to = alike(value.type, REALS[kind])
         if value.type == to:
             return value
         return (self.b.fpext if kind == "double" else self.b.fptrunc)(value, to)

@@ -16,11 +16,10 @@ from typing import Any, Literal, NamedTuple
 from numba import types
 
 from fastatt.codegen.call import TYPES
-from fastatt.codegen.emitter import Emitter, pointers_of, raised, write
+from fastatt.codegen.emitter import Emitter, pointers_of, raised
 from fastatt.codegen.instructions import REALS, Code
-from fastatt.codegen.modules import Emission, generated
+from fastatt.codegen.modules import Emission, MachineCode, generated
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.traced import Traced
 
 _WHOLE = types.CPointer(types.int64)
 
@@ -53,15 +52,17 @@ class StepTimes(NamedTuple):
 class LaneFormula(NamedTuple):
     """A formula: its graph, the places of its inputs by name, and those of its results.
 
-    A ``Traced`` formula works on single lanes, another on as many as the function's shape says, or
-    on ``lanes``. The result number ``largest`` replaces the previous value if it is larger.
+    It works on as many lanes of the rows as the function's shape says, or on ``lanes``; one with
+    ``directions``, for which it uses the lanes of vectors, on single ones. The result number
+    ``largest`` replaces the previous value if it is larger.
     """
 
-    graph: Flat | Traced
+    graph: Flat
     inputs: Mapping[Name, Place]
     results: Sequence[Place]
     largest: int | None = None
     lanes: int = 0
+    directions: int = 1
     clock: StepTimes | None = None
 
 
@@ -88,15 +89,15 @@ class LaneProgram(NamedTuple):
     resources: Resources | None = None
     numbers: int = 2
 
-    def compiled(self) -> Any:
-        """Numba's ``CFunc``, compiled or loaded from disk."""
+    def compiled(self) -> MachineCode:
+        """The machine code, compiled or loaded from disk."""
         arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays.values()]
         memory = arrays if self.resources is None else [*arrays, _WHOLE]
         keys = self.resources or ()
         key = [repr((tuple(self.shape), dict(self.arrays), [key[0] for key in keys]))]
         emissions: dict[str, Emission] = {}
         for name, x in self.formulas.items():
-            places = sorted(x.inputs.items()), x.results, x.largest, x.lanes
+            places = sorted(x.inputs.items()), x.results, x.largest, x.lanes, x.directions
             clock = x.clock and (x.clock.flat.spelled(()), x.clock.names)
             key += [x.graph.spelled(keys), repr((places, clock))]
             whole = [types.int64] * (len(arrays) + (x.clock is not None))
@@ -107,8 +108,7 @@ class LaneProgram(NamedTuple):
 
 def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence[Any]) -> None:
     """Write a formula in place of a call of it."""
-    kind, block, lanes = program.shape
-    lanes = formula.lanes or lanes
+    block, lanes = program.shape.block, formula.lanes or program.shape.lanes
     n = len(program.arrays)
     begin = n + (program.resources is not None)
     arrays = dict(zip(program.arrays, args, strict=False))
@@ -122,33 +122,31 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
         at = x.row if x.of == "indexed" else x.row * block
         return arrays[x.array], code.b.add(offset, offset.type(at))
 
-    def find(name: Name, _: str) -> tuple[Any, bool]:
+    def row(x: Place) -> Any:
+        return code.vector(program.arrays[x.array], *place(x), lanes)
+
+    def find(name: Name, kind: str) -> tuple[Any, bool]:
         if name in times:
             return times[name]
         x = formula.inputs[name]
         if x.of == "lanes":
-            return code.vector(program.arrays[x.array], *place(x), lanes), True
+            return code.cast(kind, row(x)), lanes > 1
         if x.of == "computed":
             return code.load(arrays[x.array], x.row), False
         at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
         return code.constant_load(*at), False
 
-    if isinstance(formula.graph, Traced):
-        given = [code.load(*place(x)) for x in formula.inputs.values()]
-        values = write(code, formula.graph, given, pointers)
-        values = [code.cast(kind, x) for x in values]
-    else:
-        emit = Emitter(code, lanes, pointers)
-        if formula.clock is not None:
-            times["n",] = code.b.sitofp(args[-1], REALS["double"]), False
-            made = emit(formula.clock.flat, find)
-            times |= zip(formula.clock.names, made, strict=True)
-        values = emit.wide(formula.graph, find)
-    for i, (x, value) in enumerate(zip(formula.results, values, strict=True)):
-        kept = value
+    emit = Emitter(code, max(lanes, formula.directions), pointers)
+    if formula.clock is not None:
+        times["n",] = code.b.sitofp(args[-1], REALS["double"]), False
+        made = emit(formula.clock.flat, find)
+        times |= zip(formula.clock.names, made, strict=True)
+    values = emit(formula.graph, find)
+    for i, (x, (value, has_lanes)) in enumerate(zip(formula.results, values, strict=True)):
+        kept = code.cast(program.arrays[x.array], value)
+        kept = kept if has_lanes else code.splat(kept, lanes)
         if i == formula.largest:
-            before = code.vector(program.arrays[x.array], *place(x), lanes)
-            kept = raised(code, before, value)
+            kept = raised(code, row(x), kept)
         code.store_vector(*place(x), kept)
 
 
@@ -162,13 +160,12 @@ class Part(IntEnum):
 def lane_function(
     shape: Shape, formula: LaneFormula, resources: Resources = (),
     constants: LaneFormula | None = None,
-) -> Any:  # fmt: skip
-    """Numba's ``CFunc`` of ``run(part, rows, whole, count)``: a formula in so many lanes.
+) -> MachineCode:  # fmt: skip
+    """Machine code of ``run(part, rows, whole, count)``: a formula in so many lanes.
 
     ``constants`` are numbers that it reads, computed by another one.
     """
-    # without a loop, constants are not loaded in advance into more registers than there are
-    loop = f"for j in range(0, count, {shape.lanes}): " if shape.block > shape.lanes else "j = 0; "
+    loop = f"for j in range(0, count, {shape.lanes}): "
     lines, formulas = ["def run(part, rows, whole, count):"], {"formula": formula}
     if constants is not None:
         formulas["constants"] = constants

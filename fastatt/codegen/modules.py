@@ -1,11 +1,10 @@
 """Generated modules: a function of a few loops around emitted formulas, compiled by Numba.
 
-The module's text goes to a file named by the hash of everything that its machine code depends on:
-the loops, the graphs of operations, the processor, the versions of Numba and llvmlite, and the
-sources that emit it. Numba's disk cache keeps the machine code next to that file, so that a change
-anywhere leads to another file and nothing on disk is ever stale. A file of Numba's is loaded only
-if a mark with the hash of its contents is there, which its writer leaves last. A folder that may
-only be read is read; where nothing can be kept, the code is compiled in memory.
+The machine code goes to a file named by the hash of everything that it depends on: the loops, the
+graphs of operations, the processor, the versions of Numba and llvmlite, and the sources that emit
+it, so that a change anywhere leads to another file and nothing on disk is ever stale. A file begins
+with the hash of its contents, without which it is not loaded. A folder that may only be read is
+read; where nothing can be kept, each process compiles.
 
 ``FASTATT_CACHE`` names the folder, or switches it off with ``0``; otherwise it is the folder for
 the user's caches.
@@ -16,32 +15,32 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import importlib.util
-import itertools
 import os
-import shutil
 import stat
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import llvmlite
 import numba
-from numba import cfunc, types
+from llvmlite import binding
+from numba import types
 from numba.extending import intrinsic
 
-from fastatt._numba import check, compiler_lock, files_of
+from fastatt._numba import NOTHING, check, compiler_lock, folder_of, library_of
 from fastatt.codegen.instructions import Code, prepare_for_vectors
 from fastatt.codegen.processor import processor
 
 #: bytes that the folder may hold before the files that were not used for longest are removed
 LIMIT = 256 << 20
 _ABANDONED = 3600.0  # s
-_PREFIX, _MARK, _INSIDE = "fastatt_", ".ok", "__pycache__"
+_PREFIX, _PART = "fastatt_", ".part"
+_HASH = hashlib.sha256().digest_size
 # other sources that emit it
 _OTHERS = ("_numba.py", "tracing/nodes.py")
 
@@ -52,47 +51,67 @@ hits = made = 0
 Emission = tuple[Sequence[Any], Callable[[Code, Sequence[Any]], None]]
 
 
+class MachineCode:
+    """A function in memory at an ``address``, which is released with this object.
+
+    Numba's engine would keep it for ever.
+    """
+
+    def __init__(self, name: str, code: bytes) -> None:
+        machine = binding.Target.from_triple(binding.get_process_triple()).create_target_machine()
+        self._engine = binding.create_mcjit_compiler(binding.parse_assembly(""), machine)
+        self._engine.add_object_file(binding.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self.address: int = self._engine.get_function_address(name)
+
+
 def generated(
     text: str, arguments: Sequence[Any], emissions: Mapping[str, Emission], key: str
-) -> Any:
-    """Numba's ``CFunc`` of the function ``run`` that a text defines.
+) -> MachineCode:
+    """The machine code of the function ``run`` that a text defines.
 
     ``text`` is the source of ``run``, plain Python that Numba compiles, and ``arguments`` are
     Numba's types of its arguments; it returns nothing. ``emissions`` are the functions that it
     calls by name, as (types of arguments, emission), and ``key`` is everything that they depend on.
     """
+    global hits, made  # noqa: PLW0603
     digest = hashlib.sha256(f"{text}\0{key}\0{surroundings()}".encode()).hexdigest()[:40]
-    names = {name: _emitting(*emission) for name, emission in emissions.items()}
-    found = None
     with compiler_lock:  # one thread at a time
         _check_numbas()
         path = folder()
-        if path is not None:
-            with contextlib.suppress(Exception):
-                found = _kept(path, _PREFIX + digest, text, arguments, names)
-        if found is None:
-            found = _in_memory(text, arguments, names)
-        _count(found)
-    return found
+        file = None if path is None else path / f"{_PREFIX}{digest}"
+        data = None if file is None else _read(file)
+        if data is not None:
+            hits += 1
+        else:
+            data = _compiled(text, arguments, emissions)
+            if file is not None:
+                with contextlib.suppress(OSError):
+                    _write(file, data)
+                    _trim()
+            made += 1
+        name, _, code = data.partition(b"\0")
+        return MachineCode(name.decode(), code)
 
 
-def _count(found: Any) -> None:
-    global hits, made  # noqa: PLW0603
-    if found.cache_hits:
-        hits += 1
-    else:
-        made += 1
+#: the emissions of the function that is being compiled
+_emissions: ContextVar[Mapping[str, Emission]] = ContextVar("emissions")
 
 
-def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], None]) -> Any:
-    """An intrinsic without a result, whose arguments have the given types."""
+@functools.cache
+def _called(name: str, arguments: tuple[Any, ...]) -> Any:
+    """An intrinsic that writes the emission of this name of the function that is being compiled.
+
+    It is the same for all functions, since Numba keeps every intrinsic, with what it refers to.
+    """
     signature = types.void(*arguments)
 
     def lower(context: Any, builder: Any, _: Any, args: Any) -> Any:
         check()
         prepare_for_vectors(builder.function)
+        _, emit = _emissions.get()[name]
         emit(Code(builder), args)
-        return context.get_dummy_value()
+        return NOTHING
 
     names = ", ".join(f"a{i}" for i in range(len(arguments)))
     scope: dict[str, Any] = {"found": (signature, lower)}
@@ -100,135 +119,55 @@ def _emitting(arguments: Sequence[Any], emit: Callable[[Code, Sequence[Any]], No
     return intrinsic(scope["emission"])
 
 
-def _in_memory(text: str, arguments: Sequence[Any], names: Mapping[str, Any]) -> Any:
-    scope = dict(names)
+def _compiled(text: str, arguments: Sequence[Any], emissions: Mapping[str, Emission]) -> bytes:
+    """The function's name, and an object file with it."""
+    scope = {name: _called(name, tuple(kinds)) for name, (kinds, _) in emissions.items()}
     exec(compile(text, "<fastatt>", "exec"), scope)
-    return cfunc(types.void(*arguments))(scope["run"])
-
-
-def _kept(
-    path: Path, name: str, text: str, arguments: Sequence[Any], names: Mapping[str, Any]
-) -> Any:
-    """The function from the folder, compiled and stored there if it was not; None if that fails."""
-    source = path / f"{name}.py"
-    may_write = os.access(path, os.W_OK | os.X_OK)
-    if not source.exists() or source.read_text() != text:
-        if not may_write:
-            return None
-        _write(source, text.encode())
-    if not (may_write or numba.config.CACHE_DIR):
-        source = _copied(source)
-    where, *files = _numba_files(source)
-    for file in filter(Path.exists, files):
-        if not _is_whole(file):
-            file.unlink(missing_ok=True)
-    for _ in range(2):
-        try:
-            found = _imported(source, name, text, arguments, names)
-        except Exception:  # noqa: BLE001  # what another version of Numba left
-            for file in where.glob(f"{name}.*"):
-                file.unlink(missing_ok=True)
-        else:
-            if not found.cache_hits:
-                with contextlib.suppress(OSError):
-                    for file in filter(Path.exists, files):
-                        _mark(file).touch()
-                    _trim(path)
-            return found
-    return None
-
-
-def _imported(
-    source: Path, name: str, text: str, arguments: Sequence[Any], names: Mapping[str, Any]
-) -> Any:
-    """The function of a module, under whose name Numba's cache finds it."""
-    spec = importlib.util.spec_from_file_location(name, source)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    module.__dict__.update(names)
-    sys.modules[name] = module
+    token = _emissions.set(emissions)
     try:
-        exec(compile(text, str(source), "exec"), module.__dict__)
-        return cfunc(types.void(*arguments), cache=True)(module.__dict__["run"])
+        name, library = library_of(scope["run"], types.void(*arguments))
     finally:
-        del sys.modules[name]
+        _emissions.reset(token)
+    return name.encode() + b"\0" + bytes(library.emit_native_object())
 
 
-def _numba_files(source: Path) -> tuple[Path, Path, Path]:
-    """The folder in which Numba keeps a module's machine code, its index and its code there."""
-    scope: dict[str, Any] = {}
-    exec(compile("def run(): pass", str(source), "exec"), scope)
-    return files_of(scope["run"])
-
-
-def _mark(file: Path) -> Path:
-    """The mark of a file with these contents; two processes that write it have different marks."""
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()[:40]
-    return file.with_name(f"{file.name.partition('.')[0]}.{digest}{_MARK}")
-
-
-def _is_whole(file: Path) -> bool:
-    """Whether a file has a mark; the mark is then made new."""
+def _read(file: Path) -> bytes | None:
+    """What was written to a file; None if it is not there or damaged."""
     try:
-        os.utime(_mark(file))
-    except FileNotFoundError:  # no mark, or another process removed the file
-        return False
-    return True
+        found = file.read_bytes()
+    except OSError:
+        return None
+    data = found[_HASH:]
+    if hashlib.sha256(data).digest() != found[:_HASH]:
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(file)
+    return data
 
 
-def _copied(source: Path) -> Path:
-    """A module of a read-only folder, copied to a folder that Numba accepts."""
-    to = Path(_private_folder().name)
-    (to / _INSIDE).mkdir(exist_ok=True)
-    shutil.copy2(source, to)
-    for file in (source.parent / _INSIDE).glob(f"{source.stem}.*"):
-        shutil.copy2(file, to / _INSIDE)
-    return to / source.name
-
-
-@functools.cache
-def _private_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder that is removed with the process."""
-    return tempfile.TemporaryDirectory(prefix=_PREFIX)
-
-
-def _write(path: Path, data: bytes) -> None:
+def _write(file: Path, data: bytes) -> None:
     """Write a file under another name and rename it, so that no reader sees a part of it."""
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    handle, name = tempfile.mkstemp(dir=file.parent, prefix=_PREFIX, suffix=_PART)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        # Numba compares the times of sources, so that all writers set the same one
-        os.utime(name, (0.0, 0.0))
-        Path(name).replace(path)
+        with os.fdopen(handle, "wb") as part:
+            part.write(hashlib.sha256(data).digest() + data)
+        Path(name).replace(file)
     except OSError:
         Path(name).unlink(missing_ok=True)
         raise
 
 
-def _trim(path: Path) -> None:
-    """Remove the modules that were not used for longest, and files of writers that died."""
+def _trim() -> None:
+    """Remove the files that were not used for longest, and those of writers that died."""
     if made % 64:
         return
-    with contextlib.suppress(OSError):
-        now = time.time()
-        for file in path.glob("*.part"):
-            if now - file.stat().st_mtime > _ABANDONED:
-                file.unlink(missing_ok=True)
-        modules: dict[str, list[tuple[float, int, Path]]] = {}
-        for file in _all_files():
-            if file.suffix == ".part":
-                continue
-            info = file.stat()
-            used = info.st_mtime if file.suffix == _MARK else 0.0
-            modules.setdefault(file.name.partition(".")[0], []).append((used, info.st_size, file))
-        excess = sum(size for files in modules.values() for _, size, _ in files) - LIMIT
-        for files in sorted(modules.values(), key=max):
-            if excess <= 0:
-                break
-            for _, size, file in files:
-                excess -= size
-                file.unlink(missing_ok=True)
+    files = [(file.stat(), file) for file in _all_files()]
+    excess = sum(info.st_size for info, _ in files) - LIMIT
+    for info, file in sorted(files, key=lambda x: x[0].st_mtime):
+        is_part = file.suffix == _PART
+        if time.time() - info.st_mtime > _ABANDONED if is_part else excess > 0:
+            excess -= info.st_size
+            file.unlink(missing_ok=True)
 
 
 @functools.cache
@@ -266,11 +205,8 @@ def _found() -> tuple[Path | None, str]:
         may_write = os.access(path, os.W_OK | os.X_OK)
         if not may_write and not any(path.iterdir()):
             return None, f"{path} may not be written to"
-        if may_write:
-            (path / _INSIDE).mkdir(mode=0o700, exist_ok=True)
-        for one in filter(Path.exists, (path, path / _INSIDE)):
-            if why := _others(one):
-                return None, f"{one} is not trusted: {why}"
+        if why := _others(path):
+            return None, f"{path} is not trusted: {why}"
     except (OSError, RuntimeError) as error:
         return None, str(error)
     return path.resolve(), ""
@@ -291,7 +227,7 @@ def _check_numbas() -> None:
     """Warn, once, of a folder that others may write to, from which Numba loads machine code."""
     with contextlib.suppress(RuntimeError, OSError):  # Numba has no folder
         # Numba's folders for other files of the package have the same owner
-        own, chosen = _numba_files(Path(__file__))[0], numba.config.CACHE_DIR
+        own, chosen = folder_of(generated), numba.config.CACHE_DIR
         for path in (own, *([Path(chosen)] if chosen else ())):
             info = path.stat()
             # systems give each user a group, of the same number
@@ -317,24 +253,17 @@ def _user_folder() -> Path:
 
 def _all_files() -> list[Path]:
     path = folder()
-    if path is None:
-        return []
-    roots = {path, path / _INSIDE}
-    for source in itertools.islice(path.glob(f"{_PREFIX}*.py"), 1):
-        with contextlib.suppress(RuntimeError):  # Numba has no folder
-            roots.add(_numba_files(source)[0])
-    files = [file for root in roots for file in root.glob(f"{_PREFIX}*.*")]
-    return [*files, *path.glob("*.part")]
+    return [] if path is None else list(path.glob(f"{_PREFIX}*"))
 
 
 def usage() -> tuple[int, int]:
-    """(modules, bytes) in the folder."""
+    """(programs, bytes) in the folder."""
     files = _all_files()
     sizes = 0
     for file in files:
         with contextlib.suppress(OSError):  # another process may have removed it
             sizes += file.stat().st_size
-    return sum(file.suffix == ".py" for file in files), sizes
+    return sum(file.suffix != _PART for file in files), sizes
 
 
 def clear() -> None:

@@ -47,16 +47,16 @@ def store(rows, source, to, sample, first_row, count):
             own[j, i] = lanes[i, j]
 
 
-def perform_rows(entry, whole, rows, sources, results, held, first_result, first_row, last_row):
-    """Apply a formula to the rows [first_row, last_row) of all samples, one after the other.
+def perform_rows(entry, whole, rows, sources, results, held, first_result):
+    """Apply a formula to the rows of all samples, one after the other.
 
     What is the same for the next sample, or the next rows, is not loaded again. ``whole`` is the
     address of the formula's resources. The first ``held`` rows of lanes are those on which its
     constants depend; ``first_result`` is the first row with results, 0 for a state that goes from
     sample to sample.
     """
-    for b in range(first_row, last_row, rows.shape[1]):
-        count = min(last_row - b, rows.shape[1])
+    for b in range(0, sources[0].shape[1], rows.shape[1]):
+        count = min(sources[0].shape[1] - b, rows.shape[1])
         for s in range(sources[0].shape[0]):
             to, is_other = 0, False
             for source in sources:
@@ -64,7 +64,7 @@ def perform_rows(entry, whole, rows, sources, results, held, first_result, first
                     break
                 is_sampled = source.strides[0] != 0 and source.shape[0] > 1
                 is_new = is_sampled or (s == 0 and source.strides[1] != 0)
-                if is_new or (s == 0 and b == first_row):
+                if is_new or s == b == 0:
                     load(source, s, b, rows, to)
                     is_other = is_other or to < held
                 to += source.shape[2]
@@ -85,7 +85,7 @@ def row_machine(kind: str) -> Callable[..., None]:
     real, n = TYPES[kind], types.int64
     source, result = types.Array(real, 3, "A", readonly=True), types.Array(real, 3, "A")
     arrays = types.UniTuple(source, INPUTS), types.UniTuple(result, RESULTS)
-    return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n, n, n))
+    return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n))
 
 
 def filled(arrays: list[Any], n: int) -> tuple[Any, ...]:

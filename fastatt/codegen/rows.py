@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from fastatt._cached import cached_property
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.memory import DTYPES, address_of, aligned
+from fastatt.codegen.modules import MachineCode
 from fastatt.codegen.processor import processor
 from fastatt.codegen.row_loops import INPUTS, RESULTS, filled, joined, row_machine
-from fastatt.threads import each_in_threads
+from fastatt.threads import in_threads
 from fastatt.tracing.traced import WIDEST, Traced, Tuple, trace
 
 _VECTORS = 4  # vectors of a block
@@ -39,9 +40,9 @@ Width = int | None
 
 
 class _Made(NamedTuple):
-    """A formula compiled for blocks: Numba's function, and its number of rows of lanes."""
+    """A formula compiled for blocks: its machine code, and its number of rows of lanes."""
 
-    function: Any
+    function: MachineCode
     shape: Shape
     rows: int
 
@@ -89,11 +90,7 @@ class RowFunction:
         forms = list(map(self._form, self.inputs.values()))
         if self.constants is not None:
             forms.append(self._form(len(self.constants.flat.results)))
-        made = trace(self._function, forms, self._widest, self.kind, native=self._native)
-        count = len(made.flat.results)
-        if count != self._given:
-            raise ValueError(f"function: gives {count} numbers; accepted: {self._given}")
-        return made
+        return trace(self._function, forms, self._widest, self.kind, native=self._native)
 
     @cached_property
     def constants(self) -> Traced | None:
@@ -122,16 +119,10 @@ class RowFunction:
         return self._taken - _count([*self.inputs.values()][-1]) if self.constants else 0
 
     @cached_property
-    def _resources(self) -> Sequence[tuple[str, Any]]:
-        """The function's resources in memory."""
-        return self.traced.resources
-
-    @cached_property
     def _shape(self) -> Shape:
         """Blocks of a few vectors; single rows with derivatives.
 
-        Two vectors together hide the latency of long chains of operations on constants; more
-        would need a loop, before which constants are loaded into more registers than there are.
+        Two vectors together hide the latency of long chains of operations on constants.
         """
         if self.traced.lanes > 1:
             return Shape(self.kind, 1, 1)
@@ -154,41 +145,35 @@ class RowFunction:
 
         def formula(traced: Traced, first: int, n: int) -> LaneFormula:
             inputs = {("x", k): place for k, place in enumerate(places[: self._read])}
-            graph = traced.flat if traced.lanes == 1 else traced
-            return LaneFormula(graph, inputs, places[first : first + n])
+            results = places[first : first + n]
+            return LaneFormula(traced.flat, inputs, results, directions=traced.lanes)
 
         made = formula(self.traced, self._first_result, self._given)
         constants = None
         if self.constants:
             constants = formula(self.constants, self._taken, self._read - self._taken)
-        function = lane_function(shape, made, self._resources, constants)
+        function = lane_function(shape, made, self.traced.resources, constants)
         return _Made(function, shape, len(places))
 
     def _run(
         self, sources: list[Array], results: list[Array], whole: array[int], n_threads: int
     ) -> None:
         """Apply the function to arrays (S, B, k), all rows of a sample before the next sample."""
-        made, least = self._made, _LEAST if self._made.shape.block > 1 else _LEAST_ONE_BY_ONE
-        run, entry, (samples, n) = (
-            row_machine(self.kind),
-            made.function.address,
-            results[0].shape[:2],
-        )
-        inputs, outputs, at = filled(sources, INPUTS), filled(results, RESULTS), _first(whole)
-        rows = self._held, self._first_result
+        made, (samples, n) = self._made, results[0].shape[:2]
+        least = _LEAST if made.shape.block > 1 else _LEAST_ONE_BY_ONE
+        run, entry = row_machine(self.kind), made.function.address
+        # constants are computed for each piece, so that few samples are not divided
+        by_samples = samples > 1 and self._first_result and (samples >= n or not self._held)
+        along, across = (samples, n) if by_samples else (n, samples)
 
         def some(a: int, z: int) -> None:
-            run(entry, at, made.memory(), inputs, outputs, *rows, a, z)
+            piece = np.s_[a:z] if by_samples else np.s_[:, a:z]
+            inputs = filled([x[piece] for x in sources], INPUTS)
+            outputs = filled([x[piece] for x in results], RESULTS)
+            rows = self._held, self._first_result
+            run(entry, _first(whole), made.memory(), inputs, outputs, *rows)
 
-        def samples_of(a: int, z: int) -> None:
-            pairs = ([x[a:z] for x in each] for each in (inputs, outputs))
-            run(entry, at, made.memory(), *map(tuple, pairs), *rows, 0, n)
-
-        # constants are computed for each piece, so that few samples are not divided
-        if samples > 1 and self._first_result and (samples >= n or not self._held):
-            in_pieces(samples, n_threads, samples_of, -(-least // n), max(1, _PIECE // n))
-        else:
-            in_pieces(n, n_threads, some, -(-least // samples), max(1, _PIECE // samples))
+        in_pieces(along, n_threads, some, -(-least // across), max(1, _PIECE // across))
 
     def __call__(
         self,
@@ -226,7 +211,7 @@ class RowFunction:
             sources, wide = joined(sources, INPUTS), joined(results, RESULTS)
             last = wide[-1]
             kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
-            whole = array("q", addresses(self._resources, kept))
+            whole = array("q", addresses(self.traced.resources, kept))
             if shape[1] < self._made.shape.block and shape[1] < samples:
                 # a lane for each sample
                 sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
@@ -249,18 +234,16 @@ class RowFunction:
         both is changed in place. The function keeps addresses: a copy of it works on the same
         arrays.
         """
-        for x in (*arrays, *out):
-            if x.dtype != self._dtype or not x.flags.c_contiguous:
-                raise ValueError(f"arrays: found {x.dtype}; accepted: {self._dtype}, C-contiguous")
         n = len(out[0])
         made = self._made_for_few if 2 * n <= processor().lanes(self.kind) else self._made
         wide = [np.broadcast_to(x, (n, *x.shape[1:])).reshape(1, n, -1) for x in arrays]
         run, whole, memory = row_machine(self.kind), array("q"), made.memory()
         sources = filled(wide, INPUTS)
         results = filled([x.reshape(1, n, -1) for x in out], RESULTS)
-        rows = self._held, self._first_result
-        entry = made.function.address
-        return partial(run, entry, _first(whole), memory, sources, results, *rows, 0, n)
+        entry, rows = made.function.address, (self._held, self._first_result)
+        call = partial(run, entry, _first(whole), memory, sources, results, *rows)
+        call.function = made.function  # type: ignore[attr-defined]  # as in ``scalar``
+        return call
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
         """An input (..., n) in the precision, with the numbers of a row side by side."""
@@ -276,22 +259,13 @@ class RowFunction:
 class LogFunction(RowFunction):
     """``step(state, *sample, *given)`` over the samples of many logs, compiled at the first call.
 
-    A row is a log. ``step`` returns the next state, of ``size`` numbers, from tuples of traced
-    numbers: the state, those ``sampled``, and those ``given`` for a whole log. All are float64.
+    A row is a log. ``step`` returns the next state from tuples of traced numbers: the state, those
+    ``sampled``, and those ``given`` for a whole log. All are float64.
     """
 
     _widest = 0
     # the result is the state for the next sample
     _first_result = 0
-
-    def __init__(
-        self,
-        step: Callable[..., Any],
-        size: int,
-        sampled: Mapping[str, int],
-        given: Mapping[str, int],
-    ) -> None:
-        super().__init__(step, {"state": size, **sampled, **given}, (size,))
 
     @cached_property
     def _shape(self) -> Shape:
@@ -370,7 +344,7 @@ def in_pieces(
         call(0, n)
         return
     bounds = [n * i // pieces for i in range(pieces + 1)]
-    each_in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)
+    in_threads([partial(call, *ends) for ends in pairwise(bounds)], n_threads)
 
 
 def addresses(resources: Sequence[tuple[str, Any]], tables: Mapping[int, Array]) -> list[int]:

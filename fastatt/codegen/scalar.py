@@ -11,6 +11,7 @@ import ctypes
 import functools
 import inspect
 import struct
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -21,16 +22,18 @@ from numba.extending import NativeValue, models, register_model, typeof_impl, un
 
 from fastatt._cached import cached_property
 from fastatt._numba import (
+    NOTHING,
     CPUDispatcher,
     FormulaType,
     TypingError,
     array_of,
     check,
     never_kept,
+    tuple_of,
 )
 from fastatt.codegen.call import TYPES
-from fastatt.codegen.emitter import POINTERS, write
-from fastatt.codegen.instructions import Code
+from fastatt.codegen.emitter import POINTERS, Emitter
+from fastatt.codegen.instructions import I64, Code
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
 from fastatt.tracing.graph import flattened
@@ -50,7 +53,8 @@ class ScalarFunction:
     and tuples of them, nested and named ones too, and returns such; results are of single precision
     if all arguments are. Globals of the formula are read when it is first called with arguments of
     some types. ``tables`` are the arrays that it reads; ``arrays`` names the arguments that may
-    also be arrays of one axis, in place of tuples, with the number of elements that are read.
+    also be arrays of one axis in jitted code, in place of tuples, with the number of elements that
+    are read.
 
     Code that calls it contains the formula at that time. Numba keeps no such code on disk, since it
     would not notice that the formula has become another one, and warns of ``@njit(cache=True)``.
@@ -97,11 +101,6 @@ class ScalarFunction:
         """Traced numbers for traced numbers; otherwise floats, for float32 those of NumPy."""
         if named:
             args = self.parameters.bind(*args, **named).args
-        if any(self.sizes):
-            args = tuple(
-                tuple(x[:n]) if n and isinstance(x, np.ndarray) else x
-                for x, n in zip(args, self.sizes, strict=False)
-            )
         numbers = flattened(args)
         if any(isinstance(x, Recorded) for x in numbers):
             return self.formula(*args)
@@ -116,7 +115,7 @@ class ScalarFunction:
         n, count = len(list(flattened_forms(forms))), len(traced.flat.results)
         places = [Place(k) for k in range(n + count)]
         inputs = {("x", k): place for k, place in enumerate(places[:n])}
-        formula = LaneFormula(traced, inputs, places[n:])
+        formula = LaneFormula(traced.flat, inputs, places[n:], directions=traced.lanes)
         made = lane_function(Shape("double", 1, 1), formula, traced.resources)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
         run = ctypes.CFUNCTYPE(None, number, pointer, pointer, number)(made.address)
@@ -190,38 +189,45 @@ def _type_of_form(form: Any) -> Any:
 def _numba_type(scalar: ScalarFunction) -> FormulaType:
     """The Numba type of a formula, which is written in place of a call."""
     name = scalar.__name__
+    # Numba keeps the type, with all that it refers to
+    held: Any = weakref.proxy(scalar)
+    read: list[Any] = []  # tables and functions, whose addresses machine code has
 
     def forms_of(given: Sequence[Any]) -> tuple[Any, ...]:
-        pairs = zip(given, scalar.sizes, strict=False)
+        pairs = zip(given, held.sizes, strict=False)
         return tuple(_form_of_type(ty, name, n) for ty, n in pairs)
 
     def typed(args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
         try:
-            bound = scalar.parameters.bind(*args, **named).args
+            bound = held.parameters.bind(*args, **named).args
             given = [types.unliteral(ty) for ty in bound]
-            result = scalar.traced(forms_of(given)).form
+            result = held.traced(forms_of(given)).form
         except TypeError as error:
             raise TypingError(f"{name}: {error}") from error
-        return _type_of_form(result), given, scalar.parameters
+        return _type_of_form(result), given, held.parameters
 
     def written(context: Any, builder: Any, given: Sequence[Any], args: Sequence[Any]) -> Any:
         forms = forms_of(given)
-        traced = scalar.traced(forms)
+        traced = held.traced(forms)
         code = Code(builder)
         keys, pointers = traced.resources, {}
+        read.append((keys, held.tables if keys else None))
         check()
         never_kept(builder.module)
-        for key, at in zip(keys, addresses(keys, scalar.tables), strict=True):
-            pointer = context.add_dynamic_addr(builder, at, info=name)
-            pointers[key] = builder.bitcast(pointer, POINTERS[key[0]])
+        for key, at in zip(keys, addresses(keys, held.tables), strict=True):
+            pointers[key] = builder.inttoptr(ir.Constant(I64, at), POINTERS[key[0]])
         numbers: list[Any] = []
         for form, ty, x in zip(forms, given, args, strict=True):
             of_array = isinstance(ty, types.Array)
             numbers += (
                 _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
             )
-        results = iter(write(code, traced, numbers, pointers))
-        return _made(context, builder, traced.form, results)
+
+        def number(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
+            return code.cast(kind, numbers[name[1]]), False
+
+        results = Emitter(code, traced.lanes, pointers)(traced.flat, number)
+        return _made(context, builder, traced.form, iter(value for value, _ in results))
 
     return FormulaType(name, typed, written)
 
@@ -249,7 +255,7 @@ def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
     """Numbers, brought into a form."""
     if isinstance(form, Tuple):
         parts = [_made(context, builder, part, numbers) for part in form.parts]
-        return context.make_tuple(builder, _type_of_form(form), parts)
+        return tuple_of(context, builder, _type_of_form(form), parts)
     x = next(numbers)
     return builder.fcmp_unordered("!=", x, ir.Constant(x.type, 0.0)) if form == "truth" else x
 
@@ -264,4 +270,4 @@ def _typeof(value: ScalarFunction, c: Any) -> FormulaType:
 
 @unbox(FormulaType)  # type: ignore[untyped-decorator]
 def _unboxed(ty: Any, value: Any, c: Any) -> NativeValue:
-    return NativeValue(c.context.get_dummy_value())
+    return NativeValue(NOTHING)

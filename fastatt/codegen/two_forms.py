@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from fastatt._numba import compiler_lock
+from fastatt.codegen.modules import MachineCode
 
 
 class TwoForms(ABC):
@@ -25,8 +26,8 @@ class TwoForms(ABC):
         self._memory = threading.local()
 
     @abstractmethod
-    def _compiled(self, *, small_angle: bool) -> Any:
-        """Numba's ``CFunc`` of one of the forms."""
+    def _compiled(self, *, small_angle: bool) -> MachineCode:
+        """One of the forms."""
 
     @abstractmethod
     def _new_memory(self) -> Any:

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from fastatt.engine.job import Scope
 
 #: what a body keeps of each event: the values after the last two steps, or at both ends of the
-#: marked step; whether there is one; times, each in two numbers: of the end of a step up to which
-#: marks are ignored, and of the end of the marked step
-EVENT = ("before", "after", "mark", "skip", "skip_low", "end", "end_low")
+#: marked step; the step up to which marks are ignored, and the marked step, both counted from the
+#: end of the piece, and NaN if there are none
+EVENT = ("before", "after", "skip", "mark")
 # evaluations of an extremum, and of a bracket, at most
 _FEW, _MOST = 10, 80
 _SMALLEST = float(np.finfo(np.float64).tiny)
@@ -58,11 +58,6 @@ class Event:
     direction: int = 0
     terminal: bool = False
 
-    @property
-    def reads_position(self) -> bool:
-        """Whether the function takes velocity and position, not only time, attitude and rate."""
-        return len(self.function.form.before) > 4
-
 
 def sizes(events: Sequence[Event], size: int, extras: int) -> dict[str, int]:
     """The rows that a body needs for its events: how many of each group.
@@ -74,14 +69,6 @@ def sizes(events: Sequence[Event], size: int, extras: int) -> dict[str, int]:
         "last": size * (n > 0), "marked": (size + extras) * n, "event": len(EVENT) * n,
         "held": int(n > 0), "middle": n,
     }  # fmt: skip
-
-
-def begun(events: Sequence[Event], size: int, extras: int) -> list[float]:
-    """These rows when a run begins."""
-    n = sizes(events, size, extras)
-    event = [0.0 if name == "mark" else math.nan for name in EVENT]
-    unknown = [math.nan] * n["middle"]
-    return [*[0.0] * (n["last"] + n["marked"]), *event * n["middle"], *[0.0] * n["held"], *unknown]
 
 
 # the formulas
@@ -98,8 +85,10 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
     for watch in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
         params = of_rotation[len(of_rotation) - watch.function.n_params :]
-        placed = (moved[:3], moved[3:]) if watch.reads_position else ()
-        results.append(scope.called(watch.function.given, t, x, *placed, s, params))
+        # whether it takes velocity and position, not only time, attitude and rate
+        is_placed = len(watch.function.form.before) > 4
+        placed = (moved[:3], moved[3:]) if is_placed else ()
+        results.append(scope.called(watch.function.call, t, x, *placed, s, params))
     return results
 
 
@@ -136,7 +125,7 @@ def going_on(scope: Scope) -> Any:
     """Whether a body goes on: no terminal event has a mark."""
     goes_on = is_number(scope.graph.input("double", "dt"))  # true
     for event, watch in zip(_events(scope), scope.job.events, strict=True):
-        goes_on = both(goes_on, negated(event["mark"] > 0.5)) if watch.terminal else goes_on
+        goes_on = both(goes_on, negated(is_number(event["mark"]))) if watch.terminal else goes_on
     return goes_on
 
 
@@ -150,10 +139,9 @@ def after_step(scope: Scope) -> Flat:
     kind = CLASSES[scope.kind]
     x, last, e = scope.state(), scope.inputs("last", n), scope.extras()
     (angle,), (held,) = scope.inputs("angle", 1), scope.inputs("held", 1)
-    t, dt = scope.graph.input("double", "t"), scope.graph.input("double", "dt")
-    end = kind(t), kind(Double(t) - Double(kind(t)))
+    step = kind(scope.graph.input("double", "step"))
     events, marked = _events(scope), scope.inputs("marked", (n + len(e)) * len(watches))
-    marks, goes_on = [event["mark"] > 0.5 for event in events], going_on(scope)
+    marks, goes_on = [is_number(event["mark"]) for event in events], going_on(scope)
     kept: list[Any] = []
     places: list[Any] = []
     stays: list[Any] = [*x]
@@ -164,19 +152,15 @@ def after_step(scope: Scope) -> Flat:
         before, after = event["before"], event["after"]
         first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * now, before)
         may_cross = either(crosses(after, now, watch.direction), turns(first, after, now))
-        # not before the middle of the step that follows a time up to which marks are ignored
-        ahead = Double(t) - Double(event["skip"]) - Double(event["skip_low"])
-        is_early = ahead * dt < 0.5 * dt * dt
-        is_new = both(both(may_cross, negated(either(marks[i], is_early))), goes_on)
+        is_old = either(marks[i], step <= event["skip"])
+        is_new = both(both(may_cross, negated(is_old)), goes_on)
         is_marked = either(marks[i], is_new)
         before_step = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
         place = [choose(is_new, y, z) for y, z in zip((*last, *e), before_step, strict=True)]
         places += place
         event["before"] = choose(marks[i], before, after)
         event["after"] = choose(marks[i], after, now)
-        event["mark"] = choose(is_marked, 1.0, event["mark"])
-        event["end"] = choose(is_new, end[0], event["end"])
-        event["end_low"] = choose(is_new, end[1], event["end_low"])
+        event["mark"] = choose(is_new, step, event["mark"])
         kept += event.values()
         if watch.terminal:
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
@@ -225,11 +209,8 @@ def locate(
         *ends, crossed[rows] = _between(lambda x: value(x, rows), first, last, direction)
         for bracket, new in zip((low, high), ends, strict=True):
             bracket[0][rows], bracket[1][rows] = new
-    # brackets that are none are narrow already
-    low = low[0], np.where(crossed, low[1], 0.0)
-    return np.where(
-        crossed, _bracketed(lambda share: value(share, slice(None)), low, high, least), np.nan
-    )
+    brackets = np.stack([*low, *high, high[0] - low[0], least])
+    return _bracketed(value, brackets, np.flatnonzero(crossed))
 
 
 def _between(
@@ -270,24 +251,32 @@ def _chosen(test: Any, a: Points, b: Points) -> Points:
     return np.where(test, a[0], b[0]), np.where(test, a[1], b[1])
 
 
-def _bracketed(value: Callable[[Times], Times], low: Points, high: Points, least: Times) -> Times:
-    """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020))."""
-    radius = high[0] - low[0]
+def _bracketed(value: Callable[[Times, Any], Times], brackets: Times, rows: Any) -> Times:
+    """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020)).
+
+    NaN but in the given ``rows``, and where the function is NaN.
+    """
+    share, brackets = np.full(brackets.shape[1], np.nan), brackets[:, rows]
     for _ in range(_MOST):
-        width, rise = high[0] - low[0], high[1] - low[1]
-        todo = (width > 4.0 * least) & (low[1] * high[1] != 0.0) & ~np.isnan(rise)
-        if not todo.any():
+        low, at_low, high, at_high, radius, least = brackets
+        # the end that is nearer to zero
+        share[rows] = np.where(np.abs(at_low) <= np.abs(at_high), low, high)
+        share[rows[np.isnan(at_low + at_high)]] = np.nan
+        todo = (high - low > 4.0 * least) & (at_low * at_high < 0.0)
+        rows, brackets = rows[todo], brackets[:, todo]
+        if not rows.size:
             break
-        middle = 0.5 * (low[0] + high[0])
-        slack, radius = np.maximum(radius - 0.5 * width, 0.0), 0.5 * radius
-        point = low[0] - low[1] * (width / rise)
+        low, at_low, high, at_high, radius, least = brackets
+        width, middle = high - low, 0.5 * (low + high)
+        slack = np.maximum(radius - 0.5 * width, 0.0)
+        point = low - at_low * (width / (at_high - at_low))
         side = np.where(middle >= point, 1.0, -1.0)
         away = np.maximum(0.2 * width**2, least)
         point = np.where(away <= np.abs(middle - point), point + side * away, middle)
         point = np.where(np.abs(point - middle) <= slack, point, middle - side * slack)
-        new = point, value(np.where(todo, point, 1.0))
-        is_low = ((new[1] > 0.0) == (low[1] > 0.0)) & (new[1] != 0.0)
-        low, high = _chosen(todo & is_low, new, low), _chosen(todo & ~is_low, new, high)
-    # the end that is nearer to zero; where the function is NaN there is no crossing
-    share = np.where(np.abs(low[1]) <= np.abs(high[1]), low[0], high[0])
-    return np.where(np.isnan(low[1] + high[1]), np.nan, share)
+        new = point, value(point, rows)
+        is_low = ((new[1] > 0.0) == (at_low > 0.0)) & (new[1] != 0.0)
+        brackets[:2] = np.where(is_low, new, brackets[:2])
+        brackets[2:4] = np.where(is_low, brackets[2:4], new)
+        radius *= 0.5
+    return share

@@ -14,13 +14,12 @@ import numpy as np
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
-from fastatt.engine.events import Event, begun, going_on, look
+from fastatt.engine.events import Event, going_on, look
 from fastatt.engine.status import DIAGNOSTICS, SAVED, flags, larger, relative_change
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
     Coupled,
-    EquationsOfMotion,
     RigidBody,
     Structure,
     motion_of,
@@ -82,12 +81,17 @@ class Formulas:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        low = job.structure.turning.tail if job.attitude.compensated else 0
+        low = job.structure.tail - job.structure.coupled if job.attitude.compensated else 0
         self.size = job.attitude.size + low + job.structure.tail
         self.parameters = job.structure.n_params
         self.coordinates = job.attitude.coordinates
         self.given = self.coordinates + job.structure.tail
         self.handed_out = job.attitude.stored + job.structure.tail
+        scope = self.scope()
+        x = scope.state()
+        #: how many values a method prepares for a body, and how many invariants there are
+        self.extras = len(scope.prepared(scope.number("h"), x))
+        self.invariants = len(scope.motion.invariants(x))
 
     def scope(self, *, small_angle: bool = False) -> Scope:
         """The numbers and the equations of motion of a formula."""
@@ -117,12 +121,6 @@ class Formulas:
         return self._constants.flat
 
     @cached_property
-    def constant_kinds(self) -> list[str]:
-        """Precision of each of the constants."""
-        flat = self.constants
-        return [flat.nodes[i].kind for i in flat.results]
-
-    @cached_property
     def small_angle(self) -> Flat:
         """State and squared rotation angle after a step or a stage, for angles of at most π."""
         return self._form(True)
@@ -134,27 +132,15 @@ class Formulas:
 
     @cached_property
     def begin(self) -> Flat:
-        """From initial values: all that a body takes with it."""
+        """From initial values: all that a body takes with it, but for its events."""
         scope = self.scope()
         y = scope.inputs("y", self.given)
         t, h = scope.time(), scope.number("h")
         x = scope.defined(h, scope.motion.begin(y[: self.coordinates], y[self.coordinates :]))
         e = scope.prepared(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
-        kept = (*stepped, *e, *scope.monitored(h, x), *begun(self.job.events, len(x), len(e)))
-        return scope.finished((*kept, 0.0, *[0.0] * len(SAVED), 0.0))
-
-    @cached_property
-    def extras(self) -> int:
-        """Number of values that a method prepares for a body."""
-        scope = self.scope()
-        return len(scope.prepared(scope.number("h"), scope.inputs("x", self.size)))
-
-    @cached_property
-    def invariants(self) -> int:
-        """Number of invariants."""
-        scope = self.scope()
-        return len(scope.motion.invariants(scope.inputs("x", self.size)))
+        diagnostics = (0.0, *[0.0] * len(SAVED), 0.0)
+        return scope.finished((*stepped, *e, *scope.monitored(h, x), *diagnostics))
 
     @cached_property
     def save(self) -> Flat:
@@ -182,29 +168,20 @@ class Formulas:
         )
 
     @property
-    def share(self) -> float:
-        """By how much of a step the stepped variables are ahead."""
-        return self.job.method.ahead
-
-    @property
     def regrids(self) -> bool:
         """Whether the stepped variables depend on the step size."""
         steps = self.job.method.steps
         return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
 
     @cached_property
-    def leave(self) -> Flat | None:
-        """The state from the stepped variables; None if they are equal."""
-        if not self.regrids:
-            return None
+    def leave(self) -> Flat:
+        """The state from the stepped variables."""
         scope = self.scope()
         return scope.finished(scope.left_now())
 
     @cached_property
-    def enter(self) -> Flat | None:
-        """Stepped variables and prepared numbers from the state; None if they are equal."""
-        if not self.regrids:
-            return None
+    def enter(self) -> Flat:
+        """Stepped variables and prepared numbers from the state."""
         scope = self.scope()
         x = scope.state()
         e = scope.prepared(scope.number("h"), x)
@@ -287,12 +264,8 @@ class Scope:
         is_short = small_angle and job.has_any_angle_form
         self.attitude = job.attitude.short if is_short else job.attitude
         # time and parameters are of double precision, results of the state have its precision
-        self.graph.narrow, self.graph.many = self.kind == "single", not job.shared
-        self.motion: EquationsOfMotion
-        if not structure.coupled:
-            self.motion = motion_of(structure.turning, self.attitude, p, like)
-        else:
-            self.motion = Coupled(self.attitude, structure, p, like)
+        self.graph.narrow = self.kind == "single"
+        self.motion = motion_of(structure, self.attitude, p, like)
         if job.windowed:
             self.motion.evaluate_between(*map(self.graph.time, window))
 
@@ -331,7 +304,7 @@ class Scope:
             assert steps.body is not None
             stepped = steps.body(self.motion, t, h, x)
         else:
-            constant = turning.law.model.is_constant
+            constant = turning.law.is_constant
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             stepped = chosen(self.motion, t, h, x)

@@ -31,9 +31,9 @@ from fastatt.engine.tape import RECORD, Action
 
 PI_SQUARED = math.pi**2
 
-#: the numbers that all lanes share begin with these: the clock, and the share of dt by which the
-#: stepped variables of a method are ahead
-TIME = np.dtype([(name, np.float64) for name in ("begin", "dt", "share", "low", "high")])
+#: the numbers that all lanes share begin with these: the clock, the share of dt by which the
+#: stepped variables of a method are ahead, and where in the piece the clock begins
+TIME = np.dtype([(name, np.float64) for name in ("begin", "dt", "share", "low", "high", "count")])
 
 #: what the machine has to know of a program: addresses of its functions with small-angle and with
 #: any-angle steps (0: not compiled yet), and of its tables; the rows of a tile
@@ -123,6 +123,7 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
         for k in range(tape.shape[0]):
             s = tape[k]
             time.begin, time.dt, time.low, time.high = s.begin, s.dt, s.low, s.high
+            time.count = s.count
             if s.action == Action.START:
                 load(bodies.q0, 0, body, rows, p.io)
                 load(bodies.y0, 0, body, rows, p.io + p.coordinates)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
-from threading import Event
 from time import perf_counter
 from typing import Any
 
+from fastatt.engine.program import Program
 from fastatt.engine.tape import BLOCK
 from fastatt.threads import in_threads
 
@@ -27,22 +28,15 @@ class InterruptedRun(KeyboardInterrupt):
     Bodies that did not reach the end have the status ``UNFINISHED``, and NaN in their later saves.
     """
 
-    #: (first, last) of the tiles that finished the piece
-    finished: list[tuple[int, int]]
     trajectory: Any = None
 
 
 class Pool:
-    """Threads for the tiles of a number of bodies, and the steps of a piece by the time they take.
+    """Threads for the tiles of some bodies, and the steps of a piece by the time they take."""
 
-    ``operations`` are those of a step of a body; ``calls`` says that steps call a user-defined
-    function, ``watched`` that they look for events.
-    """
-
-    def __init__(
-        self, bodies: int, width: int, operations: int, n_threads: int, *, calls: bool,
-        watched: bool,
-    ) -> None:  # fmt: skip
+    def __init__(self, program: Program, bodies: int, n_threads: int) -> None:
+        width, formulas = program.job.width, program.formulas
+        calls = formulas.calls > 0
         self._n_threads, self._grain = n_threads, CALLING_LENGTH if calls else BLOCK
         tiles = -(-bodies // width)
         most = max(8 * n_threads if n_threads > 1 else 1, tiles // (_CALLING if calls else _TILES))
@@ -50,8 +44,9 @@ class Pool:
         self._bounds = [tiles * i // groups for i in range(groups + 1)]
         self._steps = CALLING_LENGTH
         if not calls:
-            each = _OPERATIONS // max(1, operations) // min(bodies, width * (-(-tiles // groups)))
-            self._steps = min(each, _EVENTS) if watched else each
+            most = min(bodies, width * (-(-tiles // groups)))
+            each = _OPERATIONS // max(1, formulas.operations) // most
+            self._steps = min(each, _EVENTS) if program.job.events else each
 
     def pace(self) -> int:
         """The number of steps of the next piece."""
@@ -62,24 +57,18 @@ class Pool:
 
         Raises ``InterruptedRun`` on Ctrl-C, within a second.
         """
-        seconds, finished = [0.0], []
+        seconds = [0.0]
 
-        def task(first: int, last: int) -> Callable[[Event], None]:
-            def work(stop: Event) -> None:
-                if not stop.is_set():
-                    begin = perf_counter()
-                    call(first, last)
-                    seconds.append(perf_counter() - begin)
-                    finished.append((first, last))
+        def timed(first: int, last: int) -> None:
+            begin = perf_counter()
+            call(first, last)
+            seconds.append(perf_counter() - begin)
 
-            return work
-
+        calls = [partial(timed, a, b) for a, b in pairwise(self._bounds)]
         try:
-            in_threads([task(a, b) for a, b in pairwise(self._bounds)], self._n_threads)
+            in_threads(calls, self._n_threads)
         except KeyboardInterrupt:
-            stopped = InterruptedRun()
-            stopped.finished = finished
-            raise stopped from None
+            raise InterruptedRun from None
         most = _SECONDS / max(1e-9, *seconds)
         self._steps = int(self._steps * min(2.0, most)) if most < 1.0 or most > 2.0 else self._steps
 

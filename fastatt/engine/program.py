@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTimes
 from fastatt.codegen.memory import DTYPES, aligned
+from fastatt.codegen.modules import MachineCode
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
 from fastatt.engine import events
@@ -31,16 +32,9 @@ from fastatt.tracing.nodes import Node
 Array = NDArray[Any]
 
 
-class Rows:
-    """The positions of a lane's numbers in an array of rows, by the names of groups."""
-
-    def __init__(self, **sizes: int) -> None:
-        self.sizes, self.count = sizes, sum(sizes.values())
-        self.first = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
-
-    def columns(self, group: str) -> slice:
-        """The positions of a group."""
-        return slice(self.first[group], self.first[group] + self.sizes[group])
+def _firsts(**sizes: int) -> dict[str, int]:
+    """The position of the first number of each group, and the ``total`` of all sizes."""
+    return dict(zip((*sizes, "total"), accumulate(sizes.values(), initial=0), strict=True))
 
 
 class Layout:
@@ -52,20 +46,23 @@ class Layout:
 
     def __init__(self, formulas: Formulas) -> None:
         job = formulas.job
-        kinds = formulas.constant_kinds
+        constants = formulas.constants
+        kinds = [constants.nodes[i].kind for i in constants.results]
         self.constants = [(kind != job.kind, kinds[:i].count(kind)) for i, kind in enumerate(kinds)]
+        watched = events.sizes(job.events, formulas.size, formulas.extras)
         #: what a body takes with it from one tape to the next
         self.kept = {
             "x": formulas.size, "e": formulas.extras, "invariants": formulas.invariants,
-            **events.sizes(job.events, formulas.size, formulas.extras),
-            "angle": 1, "largest": len(SAVED), "status": 1,
+            **watched, "angle": 1, "largest": len(SAVED), "status": 1,
         }  # fmt: skip
+        #: which of these belong to events
+        self.is_watched = np.repeat([x in watched for x in self.kept], [*self.kept.values()])
         handed_out = max(formulas.handed_out + 1, formulas.given)
-        self.rows = Rows(**self.kept, c=kinds.count(job.kind), io=handed_out)
+        self.rows = _firsts(**self.kept, c=kinds.count(job.kind), io=handed_out)
         others = sum(kind != job.kind for kind in kinds)
         p = 0 if job.shared else formulas.parameters
-        self.wide = Rows(p=p, c=others, called=formulas.calls)
-        self.numbers = Rows(
+        self.wide = _firsts(p=p, c=others, called=formulas.calls)
+        self.numbers = _firsts(
             **dict.fromkeys(TIME.names or (), 1), limit=len(DIAGNOSTICS), p=formulas.parameters,
             stage=3 * len(job.method.stages),
         )  # fmt: skip
@@ -73,15 +70,15 @@ class Layout:
     def place(self, group: str, i: int = 0) -> Place:
         """The place of a number with a row of lanes."""
         if group == "y":
-            return Place(self.rows.first["io"] + i)
+            return Place(self.rows["io"] + i)
         if group == "c":
             is_wide, k = self.constants[i]
             if is_wide:
-                return Place(self.wide.first["c"] + k, "wide")
-            return Place(self.rows.first["c"] + k)
-        if group in self.wide.first:
-            return Place(self.wide.first[group] + i, "wide")
-        return Place(self.rows.first[group] + i)
+                return Place(self.wide["c"] + k, "wide")
+            return Place(self.rows["c"] + k)
+        if group in self.wide:
+            return Place(self.wide[group] + i, "wide")
+        return Place(self.rows[group] + i)
 
     def places(self, **sizes: int) -> list[Place]:
         """The places of groups of numbers."""
@@ -98,7 +95,7 @@ class Program(TwoForms):
 
     def record(self, tables: int) -> Array:
         """What the machine has to know, with the address of the tables."""
-        rows, record = self.layout.rows.first, np.zeros(1, PROGRAM)
+        rows, record = self.layout.rows, np.zeros(1, PROGRAM)
         record["small_angle"], record["any_angle"] = self.entry, self.any_angle
         record["tables"], record["coordinates"] = tables, self.formulas.coordinates
         record["fork"], record["angle"], record["io"] = rows["middle"], rows["angle"], rows["io"]
@@ -107,18 +104,18 @@ class Program(TwoForms):
     def _new_memory(self) -> tuple[Tile, Array, Array, Array]:
         """A thread's tile with its numbers, and two copies of rows."""
         layout, kind = self.layout, DTYPES[self.job.kind]
-        numbers = aligned(layout.numbers.count, DTYPES["double"])
-        rows = self._rows(layout.rows.count, kind)
-        wide = self._rows(layout.wide.count, DTYPES["double"])
-        tile = Tile(rows, wide, numbers[: layout.numbers.first["limit"]].view(TIME))
-        before, fork = (self._rows(layout.rows.first["largest"], kind) for _ in range(2))
+        numbers = aligned(layout.numbers["total"], DTYPES["double"])
+        rows = self._rows(layout.rows["total"], kind)
+        wide = self._rows(layout.wide["total"], DTYPES["double"])
+        tile = Tile(rows, wide, numbers[: layout.numbers["limit"]].view(TIME))
+        before, fork = (self._rows(layout.rows["largest"], kind) for _ in range(2))
         return tile, numbers, before, fork
 
     def _rows(self, n: int, kind: Any) -> Array:
         """Rows that begin at multiples of a cache line."""
         return aligned(max(1, n) * self.job.width, kind).reshape(-1, self.job.width)
 
-    def _compiled(self, *, small_angle: bool) -> Any:
+    def _compiled(self, *, small_angle: bool) -> MachineCode:
         job, formulas = self.job, self._formulas(small_angle)
         lanes = processor().lanes(job.kind)
         return LaneProgram(
@@ -131,7 +128,7 @@ class Program(TwoForms):
     def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
         """The formulas by name; with any-angle steps those alone."""
         forms, job, sizes = self.formulas, self.job, self.layout.kept
-        watched = {name: sizes[name] for name in ("last", "marked", "event", "held", "middle")}
+        watched = events.sizes(job.events, forms.size, forms.extras)
         step = forms.small_angle if small_angle else forms.any_angle
         assert step is not None
         formulas = self._step(step)
@@ -145,22 +142,20 @@ class Program(TwoForms):
             add("watch", events.after_step(forms.scope()), "moment", x=x, **watched, angle=1)
         if not small_angle:
             return formulas
-        if forms.constant_kinds:
-            add("constants", forms.constants, c=len(forms.constant_kinds))
-        add("start", forms.begin, "moment", **sizes)
+        if self.layout.constants:
+            add("constants", forms.constants, c=len(self.layout.constants))
+        add("start", forms.begin, "moment", **{x: sizes[x] for x in sizes if x not in watched})
         add("save", forms.save, "moment", io=forms.handed_out + 1, largest=len(SAVED))
         add("project", forms.project, x=x, largest=1)
-        add("leave", forms.leave, "moment", x=x)
-        add("enter", forms.enter, "moment", x=x, e=e)
+        if forms.regrids:
+            add("leave", forms.leave, "moment", x=x)
+            add("enter", forms.enter, "moment", x=x, e=e)
         add("jump", forms.update, "moment", x=x)
         add("status", forms.status, status=1)
         if job.events:
             add("middle", events.middle(forms.scope()), "moment", middle=len(job.events))
-            after = [
-                self.layout.place("event", k + 1)
-                for k in range(0, sizes["event"], len(events.EVENT))
-            ]
-            places = self.layout.places(last=x) + after
+            after = range(events.EVENT.index("after"), sizes["event"], len(events.EVENT))
+            places = [*self.layout.places(last=x), *(self.layout.place("event", k) for k in after)]
             formulas["look"] = self._formula(forms.look, places, "moment")
         return formulas
 
@@ -204,6 +199,8 @@ class Program(TwoForms):
             spans = {"h": dt, "edge": graph.input("double", "share") * dt}
         # as a separate result, the time interval is rounded before it is added
         exact = {"whole": since, "t": begin + since}
+        if which == "moment":
+            exact["step"] = graph.input("double", "count") + n
         spans["since"] = since
         kinds = ["double"] * len(exact) + [self.job.kind] * len(spans)
         names = [(name,) for name in (*exact, *spans)]
@@ -211,7 +208,7 @@ class Program(TwoForms):
 
     def _place(self, group: str, i: int = 0) -> Place:
         """The place of an input."""
-        job, numbers = self.job, self.layout.numbers.first
+        job, numbers = self.job, self.layout.numbers
         if group == "stage":
             return Place(numbers["stage"] + i, "numbers", "indexed")
         is_own = group == "p" and not (job.shared or i in job.alike)
@@ -259,7 +256,4 @@ def program(job: Job) -> Program:
 
 def width_for(bodies: int, lanes: int) -> int:
     """Width of a tile for a number of bodies: a power of two of vectors, at most ``WIDTH``."""
-    width = lanes
-    while width < min(bodies, WIDTH):
-        width *= 2
-    return width
+    return min(WIDTH, max(lanes, 1 << (bodies - 1).bit_length()))

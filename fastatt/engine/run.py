@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.codegen.memory import DTYPES, address_of
-from fastatt.engine import events
 from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.pool import Pool
 from fastatt.engine.program import Program
-from fastatt.engine.search import Search
 from fastatt.engine.tape import Action, Piece, Steps, Tape
 from fastatt.scene.models import Packed
 
@@ -58,8 +56,7 @@ class Setup:
         self.tables = packed.tables
         job, formulas = program.job, program.formulas
         self._held = [
-            x.address if kind == "function" else packed.resources[kind, x]
-            for kind, x in formulas.resources
+            x.address if kind == "function" else packed.tables[x] for kind, x in formulas.resources
         ]
         addresses = (x if isinstance(x, int) else address_of(x) for x in self._held)
         stages = np.array(job.method.stages, dtype=np.float64)
@@ -68,9 +65,9 @@ class Setup:
         self.record = program.record(address_of(self._whole))
         numbers = program.layout.numbers
         self.numbers = np.concatenate(
-            [np.zeros(numbers.first["limit"]), limits, params[0], stages.ravel()]
+            [np.zeros(numbers["limit"]), limits, params[0], stages.ravel()]
         )
-        self.numbers[numbers.first["share"]] = formulas.share
+        self.numbers[numbers["share"]] = job.method.ahead
 
 
 class Run:
@@ -89,87 +86,45 @@ class Run:
         def own(x: Array) -> Array:
             return x if len(x) == 1 else x[rows]
 
-        params = setup.params if not program.job.shared else setup.params[:1, :0]
-        self._setup, self.steps, self._t0 = setup, steps, t0
-        self._inputs = tuple(own(x)[None] for x in (*start, params))
-        self._flags, self.results = own(setup.flags), results
-        n, kept = results.status.size, program.layout.kept
-        self.states = np.empty((n, sum(kept.values())), DTYPES[program.job.kind])
+        self.setup, self.steps, self.results, self.t0 = setup, steps, results, t0
+        self.params, self._flags = own(setup.params), own(setup.flags)
+        params = self.params[:1, :0] if program.job.shared else self.params
+        self._inputs: tuple[Array, ...] = (own(start[0])[None], own(start[1])[None], params[None])
+        n, layout = results.status.size, program.layout
+        self.states = np.empty((n, layout.is_watched.size), DTYPES[program.job.kind])
         self._machine = tile_machine(
             program.job.kind, any_angle=program.job.has_any_angle_form, forks=steps.forks
         )
-        self.search: Search | None = None
-        if program.job.events:
-            params = own(setup.params)
-            self.search = Search(program, setup, params, steps.legs, t0, results)
 
     @property
     def squares(self) -> Array:
         """The largest squared angle of a step of each body, rad²."""
-        return self.states[:, self._setup.program.layout.rows.first["angle"]]
+        return self.states[:, self.setup.program.layout.rows["angle"]]
 
     def begin(self) -> None:
-        """The states from initial values, which a run with events keeps before its first tape."""
-        if self.search is not None:
-            self.perform(self.steps.begun(self._t0), slice(None), 0, self._tiles(len(self.states)))
+        """Do what comes before the first tape."""
 
-    def resume(self, states: Array, kept: Sequence[Array]) -> None:
-        """Go on from the states of another run; ``kept`` is what that has of its ``events``."""
-        self.begin()
-        self.states[:, self.without_events] = states
-        if self.search is not None and len(kept):
-            self.states[:, ~self.without_events] = kept[0]
-            self.results.event_times[:] = kept[1]
-            self.search.stopped[:], self.search.final[:] = kept[2:]
+    def resume(self, kept: Mapping[str, Array], *, same_events: bool) -> None:
+        """Go on from what another run kept, of the same events or others."""
+        self.states[:, ~self.setup.program.layout.is_watched] = kept["states"]
 
-    def events(self) -> list[Array]:
-        """Copies of the arrays of events: states, times, when bodies stopped, values since."""
-        if self.search is None:
-            return []
-        kept = self.results.event_times, self.search.stopped, self.search.final
-        return [self.states[:, ~self.without_events], *(x.copy() for x in kept)]
+    def kept(self) -> dict[str, Array]:
+        """Copies of what another run needs to go on from here."""
+        return {"states": self.states[:, ~self.setup.program.layout.is_watched]}
 
-    @property
-    def without_events(self) -> Array:
-        """The columns of states but for those of events."""
-        layout = self._setup.program.layout
-        columns = np.ones(self.states.shape[1], bool)
-        for group in events.sizes((), 0, 0):
-            columns[layout.rows.columns(group)] = False
-        return columns
-
-    def advance(self, piece: Piece, pool: Pool | None) -> None:
+    def advance(self, piece: Piece, pool: Pool) -> None:
         """Perform a piece of the run."""
-        try:
-            if pool is None:
-                self.perform(piece.tape, slice(None), 0, self._tiles(len(self.states)))
-            else:
-                self._search(piece, pool)
-        finally:  # of the bodies that finished it, after Ctrl-C
-            with np.errstate(invalid="ignore"):
-                self.results.status[:] = self.states[:, -1].astype(np.uint8) | self._flags
+        self._perform_piece(piece, pool)
+        self.results.status[:] = self.states[:, -1].astype(np.uint8) | self._flags
 
-    def _search(self, piece: Piece, pool: Pool) -> None:
-        """Perform a piece; with events again, until no body has a false alarm."""
-        begun = None if self.search is None else self.states.copy()
+    def _perform_piece(self, piece: Piece, pool: Pool) -> None:
         pool.perform(lambda first, last: self.perform(piece.tape, slice(None), first, last))
-        if self.search is None or begun is None:
-            return
-        rounds = 0
-        while (again := self.search.located(self.states, begun)).size:
-            rounds += again.size
-            self.states[again] = begun[again]
-            self.perform(piece.tape, again, 0, self._tiles(again.size))
-        if 2 * rounds > len(begun):
-            pool.shorten()
-        self.search.save(self.results.saves, piece.tape)
 
-    def _tiles(self, bodies: int) -> int:
-        return -(-bodies // self._setup.program.job.width)
-
-    def perform(self, tape: Tape, rows: Any, first: int, last: int) -> None:
-        """Perform a tape on tiles of some bodies; several threads may do so."""
-        program, record, saves = self._setup.program, self._setup.record, self.results.saves
+    def perform(
+        self, tape: Tape, rows: Any = slice(None), first: int = 0, last: int | None = None
+    ) -> None:
+        """Perform a tape on tiles of some bodies, by default all; several threads may do so."""
+        program, record, saves = self.setup.program, self.setup.record, self.results.saves
         states, inputs = self.states, self._inputs
         is_some = not isinstance(rows, slice)
         if is_some:
@@ -177,11 +132,12 @@ class Run:
             saves = np.empty((len(saves), rows.size, saves.shape[2]), saves.dtype)
             inputs = tuple(x if x.shape[1] == 1 else x[:, rows] for x in inputs)
         tile, numbers, *copies = program.memory()
-        numbers[:] = self._setup.numbers
+        numbers[:] = self.setup.numbers
         wanted = program.job.has_any_angle_form, self.steps.forks
         before, fork = (x if there else None for x, there in zip(copies, wanted, strict=True))
         q0, y0, params = inputs
         bodies = Bodies(q0, y0, params, states[None], saves)
+        last = -(-len(states) // program.job.width) if last is None else last
         while first < last:
             first = self._machine(tape, record, tile, before, fork, bodies, first, last)
             if first < last:

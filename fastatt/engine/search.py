@@ -1,10 +1,11 @@
-"""The search for events: which bodies are marked, where they cross, and what is saved then."""
+"""A run with events: which bodies are marked, where they cross, and what is saved then."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,11 @@ from numpy.typing import NDArray
 from fastatt.codegen.rows import RowFunction
 from fastatt.engine.events import EVENT, locate, values
 from fastatt.engine.job import WIDTH, GivenScope, Job
-from fastatt.engine.program import Program
-from fastatt.engine.tape import Action, Legs, Tape
+from fastatt.engine.pool import Pool
+from fastatt.engine.run import Run
+from fastatt.engine.tape import Action, Legs, Piece, Tape
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import choose
-
-if TYPE_CHECKING:
-    from fastatt.engine.run import Results, Setup
 
 Array = NDArray[Any]
 
@@ -26,109 +25,122 @@ Array = NDArray[Any]
 _LEAST = {"double": 2.0**-50, "single": 2.0**-22}
 
 
-class Search:
-    """The search for the events of a run of some bodies.
+class WatchedRun(Run):
+    """A run with events.
 
-    ``stopped`` are the times at which they stopped, NaN of others, and ``final`` their values from
-    then on.
+    ``stopped`` are the times at which bodies stopped, NaN of others, and ``final`` their values
+    from then on.
     """
 
-    def __init__(
-        self, program: Program, setup: Setup, params: Array, legs: Legs, t0: float,
-        results: Results,
-    ) -> None:  # fmt: skip
-        self._program, self._tables, self._params = program, setup.tables, params
-        self._legs, self._t0 = legs, t0
-        self.times, self._watches = results.event_times, program.job.events
-        n, width = len(self.times), results.saves.shape[2]
-        self.stopped = np.full(n, np.nan)
-        self.final = np.zeros((n, width), results.saves.dtype)
-        self._sign = float(np.sign(legs["dt"][0]))
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._job, self._layout = self.setup.program.job, self.setup.program.layout
+        self._sign, saves = float(np.sign(self.steps.legs["dt"][0])), self.results.saves
+        self.stopped, self.final = np.full(saves.shape[1], np.nan), np.zeros_like(saves[0])
 
-    def located(self, states: Array, begun: Array) -> NDArray[np.int64]:
-        """Locate what is marked in ``states``; the bodies that have to go on from ``begun`` again.
+    def begin(self) -> None:
+        """Make the states from initial values, before the first tape."""
+        self.perform(self.steps.begun(self.t0))
+        self.states[:, self._layout.is_watched] = np.nan
+
+    def resume(self, kept: Mapping[str, Array], *, same_events: bool) -> None:
+        """Go on from what another run kept, of the same events or others."""
+        super().resume(kept, same_events=same_events)
+        if same_events:
+            self.states[:, self._layout.is_watched] = kept["watched"]
+            for name, values in self._found().items():
+                values[:] = kept[name]
+
+    def kept(self) -> dict[str, Array]:
+        """Copies of what another run needs to go on from here."""
+        found = {name: values.copy() for name, values in self._found().items()}
+        watched = self.states[:, self._layout.is_watched]
+        return {**super().kept(), "watched": watched, **found}
+
+    def _found(self) -> dict[str, Array]:
+        times = self.results.event_times
+        return {"event_times": times, "stopped": self.stopped, "final": self.final}
+
+    def _perform_piece(self, piece: Piece, pool: Pool) -> None:
+        """Perform a piece, again until no body has a false alarm."""
+        begun, rounds = self.states.copy(), 0
+        super()._perform_piece(piece, pool)
+        while (again := self._located(piece, begun)).size:
+            rounds += again.size
+            self.states[again] = begun[again]
+            self.perform(piece.tape, again)
+        if 2 * rounds > len(begun):
+            pool.shorten()
+        self._save(piece.tape)
+        # the next piece counts its steps anew
+        self.states[:, self._event("skip")] = np.nan
+
+    def _event(self, name: str) -> slice:
+        """The columns of what bodies keep of each event."""
+        first, n = self._layout.rows["event"], self._layout.kept["event"]
+        return slice(first + EVENT.index(name), first + n, len(EVENT))
+
+    def _located(self, piece: Piece, begun: Array) -> NDArray[np.int64]:
+        """Locate what is marked in a piece; the bodies that have to go on from ``begun`` again.
 
         These were marked without a crossing, and ignore their marks up to then.
         """
-        was_stopped = ~np.isnan(self.stopped)
-        ends = np.full(self.times.shape, np.nan)
-        for i in range(len(self._watches)):
-            event = self._program.layout.rows.columns("event").start + i * len(EVENT)
-            mark, skip, end = (event + EVENT.index(name) for name in ("mark", "skip", "end"))
-            is_new = (states[:, mark] > 0.5) & np.isnan(self.times[:, i]) & ~was_stopped
-            rows = np.flatnonzero(is_new)
+        times, was_stopped = self.results.event_times, ~np.isnan(self.stopped)
+        marks, ends = self.states[:, self._event("mark")], np.full(times.shape, np.nan)
+        for i in range(times.shape[1]):
+            rows = np.flatnonzero(~np.isnan(marks[:, i]) & np.isnan(times[:, i]) & ~was_stopped)
             if not rows.size:
                 continue
-            step = self._steps(states[rows, end : end + 2].sum(axis=1, dtype=np.float64))
-            self.times[rows, i], final = self._crossings(i, event, rows, step, states)
-            missed = rows[np.isnan(self.times[rows, i])]
-            begun[missed, skip : skip + 2] = states[missed, end : end + 2]
-            ends[missed, i] = states[missed, end]
+            legs, taken = self.steps.step_before(piece.position + marks[rows, i].astype(np.int64))
+            times[rows, i], final = self._crossings(i, rows, legs, taken)
+            missed = np.isnan(times[rows, i])
+            begun[rows[missed], self._event("skip").start + i * len(EVENT)] = marks[rows[missed], i]
+            ends[rows[missed], i] = (self.t0 + legs["begin"] + (taken + 1) * legs["dt"])[missed]
             if final is not None:
-                first = ~(self._sign * (self.stopped[rows] - self.times[rows, i]) <= 0.0)
-                first &= ~np.isnan(self.times[rows, i])
-                self.stopped[rows[first]] = self.times[rows[first], i]
+                first = ~(self._sign * (self.stopped[rows] - times[rows, i]) <= 0.0) & ~missed
+                self.stopped[rows[first]] = times[rows[first], i]
                 self.final[rows[first]] = final[first]
-        self.times[self._sign * (self.times - self.stopped[:, None]) > 0.0] = np.nan
+        times[self._sign * (times - self.stopped[:, None]) > 0.0] = np.nan
         # what follows the time at which a body stopped does not matter
         matters = ~(self._sign * (ends - self.stopped[:, None]) >= 0.0) & ~np.isnan(ends)
         return np.flatnonzero(matters.any(axis=1))
 
-    def _steps(self, ends: Array) -> dict[str, Array]:
-        """The clocks of steps that end at times: how many were taken, their size, the window."""
-        legs = self._legs
-        begins = self._t0 + legs["begin"]
-        slack = 0.0 if self._program.job.kind == "double" else 2.0**-46
-        leg = np.searchsorted(
-            self._sign * (begins + legs["end"] * legs["dt"]),
-            self._sign * ends - slack * np.abs(ends),
-        )
-        leg = np.minimum(leg, len(legs) - 1)
-        dt = legs["dt"][leg]
-        taken = np.rint((ends - begins[leg]) / dt) - 1.0
-        return {
-            "begin": begins[leg], "taken": taken, "dt": dt,
-            "low": legs["low"][leg], "high": legs["high"][leg],
-        }  # fmt: skip
-
     def _crossings(
-        self, i: int, event: int, rows: Array, step: dict[str, Array], states: Array
+        self, i: int, rows: Array, legs: Legs, taken: Array
     ) -> tuple[Array, Array | None]:
         """The times at which the event i of bodies crosses zero in a step; NaN where it does not.
 
         Next come the values that are saved then, if it is terminal.
         """
-        layout, job = self._program.layout, self._program.job
-        forms = self._program.formulas
-        size = forms.size + forms.extras
-        first = layout.rows.first["marked"] + i * size
-        x, e = np.split(states[rows, first : first + size].astype(np.float64), [forms.size], axis=1)
-        p = self._params if len(self._params) == 1 else self._params[rows]
+        job, forms, states = self._job, self.setup.program.formulas, self.states[rows]
+        size, watch = forms.size + forms.extras, job.events[i]
+        first = self._layout.rows["marked"] + i * size
+        x, e = np.split(states[:, first : first + size].astype(np.float64), [forms.size], axis=1)
+        p = self.params if len(self.params) == 1 else self.params[rows]
         after = _after(replace(job, kind="double", width=WIDTH))
-        since = step["taken"] * step["dt"]
-        t = step["begin"] + since
-        clock = np.stack([t, since, *(step[name] for name in ("dt", "low", "high", "dt"))], axis=1)
+        begin, dt = self.t0 + legs["begin"], legs["dt"]
+        since = taken * dt
+        t = begin + since
+        clock = np.stack([t, since, dt, legs["low"], legs["high"], dt], axis=1)
 
         def stepped(share: Array, some: Any = slice(None)) -> tuple[Array, ...]:
-            clock[some, -1] = share * step["dt"][some]
+            clock[some, -1] = share * dt[some]
             inputs = (y if len(y) == 1 else y[some] for y in (x, p, e, clock))
             with np.errstate(all="ignore"):
-                return after(*inputs, tables=self._tables)
+                return after(*inputs, tables=self.setup.tables)
 
-        before, past = states[rows, event : event + 2].astype(np.float64).T
-        latest = np.abs(step["begin"] / step["dt"] + step["taken"])
-        least = np.maximum(_LEAST[job.kind], latest * 2.0**-52)
+        before, past = (
+            states[:, self._event(name)][:, i].astype(np.float64) for name in ("before", "after")
+        )
+        least = np.maximum(_LEAST[job.kind], np.abs(begin / dt + taken) * 2.0**-52)
         with np.errstate(all="ignore"):
-            share = locate(
-                lambda *of: stepped(*of)[0][:, i], before, past, self._watches[i].direction, least
-            )
-        ends = step["begin"] + (step["taken"] + 1.0) * step["dt"]
-        times = np.where(share == 1.0, ends, t + share * step["dt"])
-        if not self._watches[i].terminal:
+            share = locate(lambda *of: stepped(*of)[0][:, i], before, past, watch.direction, least)
+        times = np.where(share == 1.0, begin + (taken + 1) * dt, t + share * dt)
+        if not watch.terminal:
             return times, None
         return times, stepped(np.where(np.isnan(share), 1.0, share))[1]
 
-    def save(self, saves: Array, tape: Tape) -> None:
+    def _save(self, tape: Tape) -> None:
         """Replace the saves of bodies that have stopped by their final values."""
         if np.isnan(self.stopped).all():
             return
@@ -136,7 +148,7 @@ class Search:
         for record in tape[tape["action"] == Action.SAVE]:
             time = record["begin"] + record["first"] * record["dt"]
             late = np.flatnonzero(self._sign * time >= past)
-            saves[record["slot"], late] = self.final[late]
+            self.results.saves[record["slot"], late] = self.final[late]
 
 
 @lru_cache(maxsize=64)
@@ -147,18 +159,18 @@ def _after(job: Job) -> RowFunction:
     the clock began, the step size, the window, and the size of the step.
     """
     forms, stops = job.formulas, any(watch.terminal for watch in job.events)
-    stages = job.method.stages or ((1.0, 1.0, 0.0),)
+    stages, ahead = job.method.stages or ((1.0, 1.0, 0.0),), job.method.ahead
 
     def after(x: Vector, p: Vector, e: Vector, clock: Vector) -> Any:
         t, since, dt, low, high, h = clock
         scope = GivenScope(forms, x, p, (low, high))
         t = scope.at(t)
-        begun = scope.left(t, scope.span(since), scope.span(forms.share * dt), x, e)
+        begun = scope.left(t, scope.span(since), scope.span(ahead * dt), x, e)
         extras = scope.prepared(scope.span(h), begun)
-        y = scope.entered(t, scope.span(forms.share * h), begun, extras)
+        y = scope.entered(t, scope.span(ahead * h), begun, extras)
         for first, other, node in stages:
             y, _ = scope.step(t + node * h, scope.span(first * h), scope.span(other * h), y, extras)
-        ended = scope.left(t + h, scope.span(h), scope.span(forms.share * h), y, extras)
+        ended = scope.left(t + h, scope.span(h), scope.span(ahead * h), y, extras)
         reached = tuple(values(scope, t + h, ended))
         if not stops:
             return reached

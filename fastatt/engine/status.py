@@ -74,12 +74,10 @@ class Diagnostic(NamedTuple):
     The first is the square of a step's rotation angle, which the step computes. The others are
     those of ``Formulas.save``. ``bound`` takes a run's plan: its ``limit`` (the largest rotation
     angle of a step for which the method is trustworthy, rad), ``kind`` (the precision) and
-    ``attitude``. ``infinite`` is the flag of an
-    infinite value of a method that iterates; ``at_poles`` is the flag for coordinates with poles,
-    if it is another one.
+    ``attitude``. ``infinite`` is the flag of an infinite value of a method that iterates;
+    ``at_poles`` is the flag for coordinates with poles, if it is another one.
     """
 
-    name: str
     bound: Callable[[Any], float]
     exceeded: Status
     infinite: Status
@@ -96,20 +94,14 @@ def _norm_bound(run: Any) -> float:
     return math.inf if run.attitude.restore is None else bound
 
 
-#: in the order of the rows of a run's diagnostics
+#: of the angle, the norm and the invariants, in the order of the rows of a run's diagnostics
 DIAGNOSTICS = (
-    Diagnostic(
-        "angle",
-        lambda run: run.limit,
-        Status.STEP_TOO_LARGE,
-        Status.NOT_CONVERGED,
-        at_poles=Status.SINGULAR,
-    ),
-    Diagnostic("norm", _norm_bound, Status.NORM_LOST, Status.NORM_LOST),
-    Diagnostic("invariant", lambda run: 1e-2, Status.INVARIANT, Status.INVARIANT),
+    Diagnostic(lambda run: run.limit, Status.STEP_TOO_LARGE, Status.NOT_CONVERGED, Status.SINGULAR),
+    Diagnostic(_norm_bound, Status.NORM_LOST, Status.NORM_LOST),
+    Diagnostic(lambda run: 1e-2, Status.INVARIANT, Status.INVARIANT),
 )
-#: the names of those that are evaluated at the saves
-SAVED = tuple(x.name for x in DIAGNOSTICS[1:])
+#: those that are evaluated at the saves
+SAVED = DIAGNOSTICS[1:]
 
 
 def relative_change(a: Vector, b: Vector) -> Any:

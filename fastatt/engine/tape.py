@@ -52,9 +52,10 @@ class Action(IntEnum):
 
 #: the fields of a clock
 CLOCK = ("dt", "begin", "low", "high")
+#: ``count`` is how many steps after the end of a piece this clock begins, as a negative number
 RECORD = np.dtype(
     [(name, np.int64) for name in ("action", "first", "end", "slot")]
-    + [(name, np.float64) for name in CLOCK]
+    + [(name, np.float64) for name in (*CLOCK, "count")]
 )
 _BYTES = np.dtype((np.void, RECORD.itemsize))
 #: a leg: its clock, with times since the start of the run; its steps [first, end), counted from
@@ -179,7 +180,8 @@ class Steps:
         # whole steps until the end of each leg
         self._whole = np.maximum.accumulate(legs["whole"])
         self.length = int(self._stops[-1])
-        self.first = int(self._after(done)) if done else 0
+        reached = int(np.searchsorted(self._whole, done))
+        self.first = int(self._stops[reached] - self._whole[reached]) + done if done else 0
         self._slots = np.arange(saves.since.size) if slots is None else slots
         until = np.abs(legs["begin"] + legs["end"] * legs["dt"])
         leg = np.minimum(np.searchsorted(until, np.abs(saves.since) - saves.slack), len(legs) - 1)
@@ -188,15 +190,15 @@ class Steps:
         positions = self._starts[leg] + counts - legs["first"][leg]
         #: twice the position of a save, and one more within the next step
         self._keys = 2 * np.maximum(positions, self.first) + (self._rests != 0.0)
-        # pieces by their first and last position, in times since the start
-        self._pieces: dict[tuple[int, int], Piece] = {}
+        # pieces by their first position and length, in times since the start
+        self._pieces: dict[tuple[int, int, int], Piece] = {}
         #: whether a tape copies tiles
         self.forks = watched or bool(self._rests.any())
 
-    def _after(self, whole: Any) -> Any:
-        """The positions after numbers of whole steps, above 0."""
-        leg = np.searchsorted(self._whole, whole)
-        return self._stops[leg] - self._whole[leg] + whole
+    def step_before(self, positions: Whole) -> tuple[Legs, Whole]:
+        """The legs of the steps that end at some positions, and the steps of a leg before each."""
+        leg = np.searchsorted(self._stops, positions)
+        return self.legs.take(leg), positions - 1 - self._stops[leg] + self.legs["end"][leg]
 
     def _whole_until(self, position: int) -> tuple[int, bool]:
         """The whole steps until a position, and whether it is within one."""
@@ -219,17 +221,16 @@ class Steps:
 
         A piece ends after each of the saves whose numbers are in ``stops``.
         """
-        left = [(int(self._keys[i]) + 1) // 2 for i in reversed(stops)]
+        ends = [(int(self._keys[i]) + 1) // 2 for i in reversed(stops)]
         position = self.first
         while True:
-            while left and left[-1] <= position:
-                left.pop()
-            end = min([self._end(position, pace()), *left[-1:]])
-            piece = self._piece(position, end)
-            yield piece._replace(tape=_from(t0, piece.tape))
-            if end == self.length:
+            while ends and ends[-1] <= position:
+                ends.pop()
+            piece = self._piece(position, pace(), ends[-1] if ends else self.length)
+            yield piece._replace(tape=_from(t0, piece.tape)) if t0 else piece
+            if piece.position == self.length:
                 return
-            position = end
+            position = piece.position
 
     def _end(self, position: int, steps: int) -> int:
         """The end of a piece, at a multiple of a block, or between two legs or saves."""
@@ -243,15 +244,20 @@ class Steps:
         end = position + max(steps, self._block)
         return end // self._block * self._block if end < min(ends) else min(ends)
 
-    def _piece(self, position: int, end: int) -> Piece:
-        """The piece between two positions, made once if the run's tape is not long."""
-        piece = self._pieces.get((position, end))
+    def _piece(self, position: int, steps: int, stop: int) -> Piece:
+        """A piece of about so many steps from a position, made once if the run's tape is not long.
+
+        It ends at ``stop``, a position, or before.
+        """
+        key = position, steps, stop
+        piece = self._pieces.get(key)
         if piece is None:
+            end = min(self._end(position, steps), stop)
             whole, is_within = self._whole_until(end)
             tape = self._tape(position, end)
             piece = Piece(tape, end, -1 if is_within else whole, self._saves_until(end))
             if tape.size + sum(x.tape.size for x in self._pieces.values()) <= _KEPT:
-                self._pieces[position, end] = piece
+                self._pieces[key] = piece
         return piece
 
     def _tape(self, position: int, end: int) -> Tape:
@@ -263,11 +269,12 @@ class Steps:
         legs = slice(*np.searchsorted(self._starts, (position, end)))
         starts, jumps = self._starts[legs], self.legs["jumps"][legs] != 0
         changes = starts[(starts > 0) | jumps]
-        projected = self._projected(position, end)
         blocks = np.arange(position // self._block + 1, -(-end // self._block)) * self._block
-        stops = np.sort(np.concatenate([blocks, projected, saved, starts, [end]]))
-        taken = np.diff(stops, prepend=position)
-        stops, taken = stops[taken > 0], taken[taken > 0]
+        first, last = (x // self._every if self._every else 0 for x in (position, end))
+        projected = np.arange(first + 1, last + 1) * self._every
+        stops = np.sort(np.concatenate([[position], blocks, projected, saved, starts, [end]]))
+        taken = np.diff(stops)
+        stops, taken = stops[1:][taken > 0], taken[taken > 0]
         looks = starts if self._watched else starts[:0]
         if self._watched and self._new and is_first and position < end:
             looks = np.union1d(looks, position)
@@ -281,28 +288,22 @@ class Steps:
         goes_on = self._resumes or self._watched or not is_first
         start = (Action.START, Action.RESTORE) if goes_on else (Action.START,)
         add(self._records, start, np.array([position]))
-        add(self._records, (Action.STEPS,), stops, taken=taken)
+        add(self._records, (Action.STEPS,), stops, taken=taken[:, None])
         add(self._records, (Action.PROJECT,), projected)
-        add(self._records, (Action.SAVE,), saved[on_step], slots=slots[on_step])
+        add(self._records, (Action.SAVE,), saved[on_step], slots=slots[on_step, None])
         if self._regrids:
             add(self._records, (Action.LEAVE,), changes)
         add(self._records, (Action.JUMP,), starts[jumps], side="right")
         if self._regrids:
             add(self._records, (Action.ENTER,), changes, side="right")
-        about = {"rests": rests[~on_step], "slots": slots[~on_step]}
+        about = {"rests": rests[~on_step, None], "slots": slots[~on_step, None]}
         add(self._copied, Action.SAVE, saved[~on_step], **about)
         add(self._records, (Action.LOOK,), looks, side="right")
         add(self._copied, Action.MIDDLE, looks)
         add(self._records, (Action.STATUS,), np.array([end]))
-        return _in_order(groups)
-
-    def _projected(self, position: int, end: int) -> Whole:
-        """The positions of the projections from a position on, to another one."""
-        if not self._every:
-            return np.zeros(0, np.int64)
-        first, last = (self._whole_until(x)[0] // self._every for x in (position, end))
-        positions: Whole = self._after(np.arange(first + 1, last + 1) * self._every)
-        return positions
+        tape = _in_order(groups)
+        tape["count"] -= end
+        return tape
 
     def _records(
         self, actions: Sequence[Action], positions: Whole, *,
@@ -313,14 +314,16 @@ class Steps:
         Where two legs meet, they have the clock of the leg before, and with the ``side`` "right"
         that of the leg after; ``taken`` counts the steps to the position.
         """
+        records = np.zeros((positions.size, len(actions)), RECORD)
+        positions = positions[:, None]
         leg = np.searchsorted(self._stops, positions, side)
         counts = positions - self._stops[leg] + self.legs["end"][leg]
-        records = np.zeros((positions.size, len(actions)), RECORD)
         columns = {"first": counts - taken, "end": counts, "slot": slots}
+        columns["count"] = positions - counts
         columns |= {name: self.legs[name][leg] for name in CLOCK}
         records["action"] = actions
         for name, column in columns.items():
-            records[name] = np.reshape(column, (-1, 1))
+            records[name] = column
         return records
 
     def _copied(
@@ -336,7 +339,7 @@ class Steps:
         # from ENTER on, another clock, whose only step ends at the action
         step = records[:, actions.index(change[-1] if change else Action.STEPS) : -1]
         step["begin"] += step["first"] * step["dt"]
-        step["dt"] = 0.5 * step["dt"] if rests is None else rests[:, None]
+        step["dt"] = 0.5 * step["dt"] if rests is None else rests
         step["first"], step["end"] = step["action"] == action, 1
         return records
 
@@ -355,7 +358,6 @@ def _in_order(groups: list[tuple[Whole, Tape]]) -> Tape:
 
 def _from(t0: float, tape: Tape) -> Tape:
     """A tape whose clocks begin since the start of the run, from time ``t0``."""
-    if t0:
-        tape = tape.copy()
-        tape["begin"] += t0
+    tape = tape.copy()
+    tape["begin"] += t0
     return tape

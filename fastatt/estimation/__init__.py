@@ -20,7 +20,7 @@ from fastatt.estimation.covariance import (
 )
 from fastatt.estimation.derivatives import body_tangent, sample_transitions, step_tangent
 from fastatt.estimation.filters import attitude_error, mean_attitude
-from fastatt.estimation.inertial_logs import Preintegrator, preintegrate
+from fastatt.estimation.inertial_logs import preintegrate
 from fastatt.estimation.mekf import MEKF
 from fastatt.estimation.motions import gyro_motion, scene_motion
 from fastatt.estimation.noise import simulate_gyro
@@ -34,7 +34,7 @@ from fastatt.estimation.updates import (
 )
 
 __all__ = [
-    "MEKF", "UKF", "Preintegrator", "RunTangent", "attitude_error", "body_tangent",
+    "MEKF", "UKF", "RunTangent", "attitude_error", "body_tangent",
     "covariance_to_body", "covariance_to_inertial", "gyro_motion", "left_jacobian",
     "left_jacobian_inverse", "mean_attitude", "mekf_predict", "mekf_update",
     "mekf_update_attitude", "mekf_update_vector", "predict_covariance", "preintegrate",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sized
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -43,16 +42,6 @@ def interval(dt: float) -> float:
             f"dt: found {found}; accepted: an interval above 0, {_SHORTEST:g} to {_LONGEST:g}"
         )
     return found
-
-
-def random_generator(rng: Any) -> np.random.Generator:
-    """A random generator: the given one, or one from a seed."""
-    if rng is None or isinstance(rng, np.random.Generator):
-        return np.random.default_rng(rng)
-    accepted = "a numpy.random.Generator, a whole number from 0 on, or None"
-    with suppress(TypeError, ValueError):
-        return np.random.default_rng(checks.whole("rng", rng, 0))
-    raise TypeError(f"rng: found {checks.brief(rng)}; accepted: {accepted}")
 
 
 def common_number(of: str, **arrays: Sized) -> int:

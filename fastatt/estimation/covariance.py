@@ -16,11 +16,11 @@ from fastatt import checks
 from fastatt.arrays import normalised, quat_to_dcm
 from fastatt.codegen.rows import kind_of, rows
 from fastatt.estimation.amounts import at_least_zero, common_number, covariances, interval
-from fastatt.tracing.formulas import Kernels, Vector, scale, so3
+from fastatt.tracing.formulas import Vector, kernels, scale, so3
 
 Formula = Callable[..., Any]
 
-error_state: Any = Kernels("error_state")
+error_state = kernels("error_state")
 
 
 # formulas for the numbers of a row
@@ -32,10 +32,6 @@ def _transition(w: Vector, h: Any) -> Any:
 
 def _noise(w: Vector, h: Any, v: Vector) -> Any:
     return error_state.matrix(error_state.noise(scale(h, w), h, *v))
-
-
-def _noise_at_rest(w: Vector, h: Any, v: Vector) -> Any:
-    return error_state.matrix(error_state.noise_at_rest(h, *v))
 
 
 def _predict(w: Vector, h: Any, v: Vector, p: Vector) -> Any:
@@ -235,7 +231,7 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
 
 
 def process_noise(
-    w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float, at_rest: bool = False
+    w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float
 ) -> NDArray[Any]:
     """Covariance Q of (δθ, δb) by white noise of a gyro at constant rates.
 
@@ -249,14 +245,11 @@ def process_noise(
         σ_v, rad/√s (angle random walk).
     bias_noise : float
         σ_u, rad/s^1.5 (rate random walk).
-    at_rest : bool, default False
-        Return Farrenkopf's matrix, which is that for w = 0. The default is exact for rotating
-        bodies.
 
     Returns
     -------
     ndarray of shape (6, 6) or (N, 6, 6)
-        Q.
+        Q, exact for rotating bodies; for w = 0 it is Farrenkopf's matrix.
 
     Raises
     ------
@@ -274,8 +267,7 @@ def process_noise(
     >>> f"{Q[0, 0]:.1e}"
     '1.0e-07'
     """
-    formula = _noise_at_rest if checks.flag("at_rest", at_rest) else _noise
-    return _over(formula, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
+    return _over(_noise, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
 def predict_covariance(

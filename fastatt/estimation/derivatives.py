@@ -19,9 +19,9 @@ from fastatt.codegen.scalar import scalar_function
 from fastatt.estimation import tangent
 from fastatt.estimation.amounts import common_number, triples
 from fastatt.gyro.ends import beyond
-from fastatt.gyro.integrate import methods_for_samples
+from fastatt.gyro.integrate import method_of as sample_method_of
 from fastatt.gyro.intervals import intervals
-from fastatt.methods import METHODS, Method
+from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.inertia import axis_order
@@ -186,9 +186,7 @@ def sample_transitions(
     >>> found.matrix.shape
     (4, 6, 6)
     """
-    names = methods_for_samples(checks.flag("increments", increments))
-    fitting = [name for name in names if METHODS[name].window.iteration is None]
-    record = METHODS[checks.choice("method", method, fitting)]
+    record = sample_method_of(method, increments, iterates=False)
     data = checks.array("rates", rates, "(n, 3) or (N, n, 3)")
     one = data.ndim == 2
     data = np.array(data[None] if one else data, dtype=np.float64)

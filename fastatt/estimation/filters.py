@@ -332,7 +332,7 @@ class Estimates:
         q : array_like of shape (4,) or (N, 4)
             True attitudes.
         y : array_like of shape (K,) or (N, K)
-            True auxiliary states.
+            True auxiliary states; those of an MEKF are gyro biases, rad/s.
 
         Returns
         -------

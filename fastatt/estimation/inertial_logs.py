@@ -1,4 +1,4 @@
-"""Preintegration of whole logs, one or many, and sample by sample from Python."""
+"""Preintegration of whole logs, one or many."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fastatt import checks
 from fastatt.arrays import normalised, quat_multiply, quat_rotate, rotation_vector_to_quat
 from fastatt.codegen.rows import LogFunction
 from fastatt.estimation import preintegration as pre
-from fastatt.estimation.amounts import at_least_zero, common_number, interval, triples
+from fastatt.estimation.amounts import at_least_zero, common_number, triples
 from fastatt.gyro.intervals import intervals
 from fastatt.threads import number_of
 from fastatt.tracing.formulas import Vector, minus
@@ -34,7 +34,8 @@ def _step(x: Vector, w: Vector, a: Vector, h: Vector, bg: Vector, ba: Vector, v:
     return pre.add_sample(nested(x), minus(w, bg), minus(a, ba), *h, *v)
 
 
-_LOGS = LogFunction(_step, _SIZE, {"w": 3, "a": 3, "h": 1}, {"bg": 3, "ba": 3, "variances": 2})
+_INPUTS = {"state": _SIZE, "w": 3, "a": 3, "h": 1, "bg": 3, "ba": 3, "variances": 2}
+_LOGS = LogFunction(_step, _INPUTS, (_SIZE,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,96 +260,15 @@ def preintegrate(
     spans = np.ascontiguousarray(
         np.broadcast_to(intervals(dt, n, np.inf, np.dtype(np.float64)), (n,))
     )
-    variances = _variances(gyro_noise, accel_noise)
+    densities = at_least_zero("gyro_noise", gyro_noise), at_least_zero("accel_noise", accel_noise)
     a: NDArray[np.float64] = np.zeros((1, 1, 3))
     if accel is not None:
         forces = checks.array("accel", accel, f"{np.shape(gyro)}, as gyro", [np.shape(gyro)])
         a = np.asarray(forces.reshape(w.shape), dtype=np.float64)
     h, threads = spans[None, :, None], number_of(n_threads)
-    state = _LOGS(_start(n_logs), (w, a, h), (bg, ba, variances), threads)
+    state = np.zeros((n_logs, _SIZE))
+    state[:, 1] = 1.0  # of the quaternion
+    state = _LOGS(state, (w, a, h), (bg, ba, np.square([densities])), threads)
     if accel is None:
         state[:, _ROTATION:] = np.nan
     return _unpacked(state, one)
-
-
-def _start(n_logs: int) -> NDArray[np.float64]:
-    """States before the first sample."""
-    state = np.zeros((n_logs, _SIZE))
-    state[:, 1] = 1.0
-    return state
-
-
-def _variances(gyro_noise: float, accel_noise: float) -> NDArray[np.float64]:
-    found = at_least_zero("gyro_noise", gyro_noise), at_least_zero("accel_noise", accel_noise)
-    return np.square([found])
-
-
-class Preintegrator:
-    """Preintegrate sample by sample, from Python.
-
-    Parameters
-    ----------
-    gyro_noise : float, default 0.0
-        Noise density σ_g, rad/√s, as in :func:`preintegrate`.
-    accel_noise : float, default 0.0
-        Noise density σ_a, m/s^1.5.
-    gyro_bias : array_like of shape (3,), default (0, 0, 0)
-        Bias that is subtracted from gyro samples, rad/s.
-    accel_bias : array_like of shape (3,), default (0, 0, 0)
-        Bias that is subtracted from accelerometer samples, m/s².
-
-    Examples
-    --------
-    >>> import fastatt as fa
-    >>> increments = fa.estimation.Preintegrator()
-    >>> increments.add((0.0, 0.0, 0.1), (0.0, 0.0, 9.8), 0.01)
-    >>> increments.result.velocity.round(3).tolist()
-    [0.0, 0.0, 0.098]
-    """
-
-    def __init__(
-        self,
-        *,
-        gyro_noise: float = 0.0,
-        accel_noise: float = 0.0,
-        gyro_bias: ArrayLike = _TRIPLE,
-        accel_bias: ArrayLike = _TRIPLE,
-    ) -> None:
-        biases = triples("gyro_bias", gyro_bias, 1), triples("accel_bias", accel_bias, 1)
-        self._given = *biases, _variances(gyro_noise, accel_noise)
-        self.reset()
-
-    def reset(self) -> None:
-        """Start the next increments at the end of the last sample."""
-        self._row = _start(1)
-
-    def add(self, gyro: ArrayLike, accel: ArrayLike, dt: float) -> None:
-        """Add one sample.
-
-        Parameters
-        ----------
-        gyro : array_like of shape (3,)
-            Rate along body axes, rad/s.
-        accel : array_like of shape (3,)
-            Specific force along body axes, m/s².
-        dt : float
-            Interval over which both are held, s.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If a shape does not fit, or the interval is not above 0.
-        """
-        h = np.full((1, 1, 1), interval(dt))
-        w, a = checks.array("gyro", gyro, "(3,)"), checks.array("accel", accel, "(3,)")
-        self._row = _LOGS(self._row, (w[None, None], a[None, None], h), self._given, 1)
-
-    @property
-    def state(self) -> pre.Preintegrated:
-        """The nested tuple that kernels such as ``preintegration.add_sample`` take."""
-        return nested(tuple(self._row[0].tolist()))
-
-    @property
-    def result(self) -> Preintegration:
-        """The increments of the samples so far, a :class:`Preintegration`."""
-        return _unpacked(self._row, one=True)

@@ -5,8 +5,6 @@ The formulas are those of ``fastatt.estimation.updates``.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -119,20 +117,3 @@ class MEKF(Estimates):
         call = self._call("predict", self._gyro)
         call.shared[:] = h, *self._variances
         call.run()
-
-    def nees(self, q: ArrayLike, bias: ArrayLike) -> Any:
-        """Normalised estimation error squared against the truth.
-
-        Parameters
-        ----------
-        q : array_like of shape (4,) or (N, 4)
-            True attitudes.
-        bias : array_like of shape (3,) or (N, 3)
-            True gyro biases, rad/s.
-
-        Returns
-        -------
-        float or ndarray of shape (N,)
-            If the filter is consistent, it has a χ² distribution with 6 degrees of freedom.
-        """
-        return super().nees(q, bias)

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import normalised
+from fastatt.arrays import normalised, quat_multiply, rotation_vector_to_quat
 from fastatt.estimation.filters import Floats
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.propagate import propagate
-from fastatt.scene import rates
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
@@ -38,7 +37,7 @@ class TimedMotion:
         return self.motion(q, y)
 
 
-def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> Motion:
+def gyro_motion(gyro: ArrayLike, dt: float) -> Motion:
     """Return the motion at the rate of a gyro sample minus the bias.
 
     The bias is the first three numbers of the auxiliary state.
@@ -50,8 +49,6 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
         other in equal numbers.
     dt : float
         Interval, s.
-    n_threads : int, optional
-        Number of threads, as in :func:`fastatt.propagate`.
 
     Returns
     -------
@@ -68,28 +65,21 @@ def gyro_motion(gyro: ArrayLike, dt: float, *, n_threads: int | None = None) -> 
     >>> q.shape, y.shape
     ((5, 4), (5, 3))
     """
-    sample = checks.array("gyro", gyro, "(3,) or (N, 3)")
-    seconds, threads = abs(checks.real("dt", dt, zero=False)), number_of(n_threads)
+    samples = np.atleast_2d(checks.array("gyro", gyro, "(3,) or (N, 3)"))
+    h = checks.real("dt", dt, zero=False)
 
     def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        q, y = _points(q, y)
-        if y.shape[1] < 3:
+        q, y = _points(q, y, "a bias")
+        if len(q) % len(samples):
             raise ValueError(
-                f"y: has shape {y.shape}; accepted: a bias of three numbers in each row"
+                f"q: found {len(q)} points; accepted: equal numbers for each of the "
+                f"{len(samples)} gyro samples"
             )
-        each = sample
-        if sample.ndim == 2:
-            if len(q) % len(sample):
-                raise ValueError(
-                    f"q: found {len(q)} points; accepted: equal numbers for each of the "
-                    f"{len(sample)} gyro samples"
-                )
-            each = np.repeat(sample, len(q) // len(sample), axis=0)
-        scene = Scene(rate=rates.Constant(each - y[:, :3]))
-        moved = propagate(scene, q, dt=dt, n_steps=1, method="lie_euler", n_threads=threads)
-        return moved.q[-1], y
+        each = np.repeat(samples, len(q) // len(samples), axis=0)
+        turn = rotation_vector_to_quat(h * (each - y[:, :3]))
+        return quat_multiply(normalised(q), turn), y
 
-    return TimedMotion(motion, seconds)
+    return TimedMotion(motion, abs(h))
 
 
 def scene_motion(
@@ -130,12 +120,7 @@ def scene_motion(
     steps, threads = checks.whole("n_steps", n_steps, 0), number_of(n_threads)
 
     def motion(q: Floats, y: Floats) -> tuple[Floats, Floats]:
-        q, y = _points(q, y)
-        if carries and y.shape[1] < 3:
-            raise ValueError(
-                f"y: has shape {y.shape}; accepted: an angular velocity of three numbers in each "
-                "row"
-            )
+        q, y = _points(q, y, "an angular velocity" if carries else "")
         moved = propagate(
             scene, q, y[:, :3] if carries else None, dt=dt, n_steps=steps, method=record, t0=begin,
             n_threads=threads,
@@ -146,9 +131,15 @@ def scene_motion(
     return TimedMotion(motion, seconds if carries else 0.0)
 
 
-def _points(q: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+def _points(q: ArrayLike, y: ArrayLike, first: str) -> tuple[Floats, Floats]:
+    """Attitudes and auxiliary states, whose first three numbers are ``first``, if it is given."""
     attitudes = checks.attitudes("q", q, "(M, 4)").astype(np.float64)
-    return attitudes, checks.array("y", y, f"({len(attitudes)}, K)").astype(np.float64)
+    states = checks.array("y", y, f"({len(attitudes)}, K)").astype(np.float64)
+    if first and states.shape[1] < 3:
+        raise ValueError(
+            f"y: has shape {states.shape}; accepted: {first} of three numbers in each row"
+        )
+    return attitudes, states
 
 
 def moved_rows(motion: Motion, q: Floats, y: Floats) -> tuple[Floats, Floats]:

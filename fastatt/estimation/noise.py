@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.estimation.amounts import at_least_zero, interval, random_generator
+from fastatt.estimation.amounts import at_least_zero, interval
 from fastatt.estimation.filters import Floats
 
 
@@ -36,7 +36,6 @@ def simulate_gyro(
     bias_noise: float = 0.0,
     bias: ArrayLike = (0.0, 0.0, 0.0),
     increments: bool = False,
-    runs: int | None = None,
     rng: Any = None,
 ) -> SimulatedGyro:
     """Simulate the samples of a gyro with angle random walk, rate random walk and a bias.
@@ -45,7 +44,7 @@ def simulate_gyro(
     ----------
     rates : array_like of shape (n, 3) or (N, n, 3)
         Means of the true angular velocity over n intervals, rad/s; with ``increments=True`` its
-        integrals over them, rad.
+        integrals over them, rad. Each of N motions, which may be equal, has its own noise.
     dt : float
         Interval h, s, above 0.
     angle_noise : float, default 0.0
@@ -56,8 +55,6 @@ def simulate_gyro(
         Bias at the start, rad/s.
     increments : bool, default False
         Whether ``rates`` and the samples are increments, rad, in place of mean rates.
-    runs : int, optional
-        Number N of simulations of one motion (n, 3), each with its own noise.
     rng : numpy.random.Generator or int, optional
         Random generator, or a seed for one.
 
@@ -95,16 +92,13 @@ def simulate_gyro(
     angle = at_least_zero("angle_noise", angle_noise)
     walk = at_least_zero("bias_noise", bias_noise)
     checks.flag("increments", increments)
-    if runs is not None:
-        if motion.ndim == 3:
-            raise ValueError(f"runs: found {runs} with {len(motion)} motions; accepted: None")
-        motion = np.broadcast_to(motion, (checks.whole("runs", runs, 1), *motion.shape))
     first = checks.array("bias", bias, "(3,) or (N, 3)", [(3,), (*motion.shape[:-2], 3)])
-    generator = random_generator(rng)
-    steps = walk * math.sqrt(h) * generator.standard_normal(motion.shape)
+    if not isinstance(rng, np.random.Generator):
+        rng = np.random.default_rng(rng if rng is None else checks.whole("rng", rng, 0))
+    steps = walk * math.sqrt(h) * rng.standard_normal(motion.shape)
     start = np.broadcast_to(first, (*motion.shape[:-2], 3))[..., None, :]
     biases = np.concatenate([start, start + np.cumsum(steps, axis=-2)], axis=-2)
     noise = math.sqrt(angle**2 * h + walk**2 * h**3 / 12.0)
     noise *= 1.0 if increments else 1.0 / h
     middle = 0.5 * (biases[..., 1:, :] + biases[..., :-1, :]) * (h if increments else 1.0)
-    return SimulatedGyro(motion + middle + noise * generator.standard_normal(motion.shape), biases)
+    return SimulatedGyro(motion + middle + noise * rng.standard_normal(motion.shape), biases)

@@ -112,11 +112,8 @@ def window_tangent(window: Window, *, increments: bool) -> Formula:
 
 def own_numbers(law: Law) -> Iterator[bool]:
     """Which of a law's flat parameters are its model's; the others select rows of tables."""
-    if law.parts:
-        for part in law.parts:
-            yield from own_numbers(part)
-    else:
-        for size, look_up in zip(law.sizes, law.look_ups, strict=True):
+    for term in law.terms:
+        for size, look_up in zip(term.sizes, term.look_ups, strict=True):
             yield from (look_up is None,) * size
 
 

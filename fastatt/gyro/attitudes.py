@@ -1,4 +1,4 @@
-"""Files of attitudes with rows t (s), q0 ... q3 and, for a log in pieces, the piece's number."""
+"""Files of attitudes with rows t (s), q0 ... q3."""
 
 from __future__ import annotations
 
@@ -9,33 +9,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import rounding
 from fastatt.files import write_csv, writing
 from fastatt.gyro.integrate import integrate_rates
 from fastatt.gyro.log import GyroLog, GyroLogError
 
-Rows = NDArray[np.float64]
-_NAMES = ("t", "q0", "q1", "q2", "q3", "piece")
+_NAMES = ("t", "q0", "q1", "q2", "q3")
 _CHUNK = 1 << 17  # rows
 _UNIX = 1e8  # s (1973); larger time stamps are Unix time
 
 
-def attitude_rows(log: GyroLog, q0: ArrayLike, method: str, *, pieces: bool = False) -> Rows:
-    """Times and attitudes of a log, (n, 5), with each piece integrated from ``q0``.
+def attitude_rows(log: GyroLog, q0: ArrayLike, method: str) -> NDArray[np.float64]:
+    """Times and attitudes of a log from ``q0``, (n, 5).
 
-    Times are Unix time, s, if the log's stamps are, else s from the first sample. With ``pieces`` a
-    sixth column has the number of the piece.
+    Times are Unix time, s, if the log's stamps are, else s from the first sample.
     """
-    rows = np.empty((len(log.t), 5 + pieces))
+    rows = np.empty((len(log.t), 5))
     rows[:, 0] = log.t + (log.start if log.start > _UNIX else 0.0)
-    with rounding.noted() as texts:
-        for k, piece in enumerate(log.pieces):
-            dt = log.dt[piece.start : piece.stop - 1]
-            rates = log.rates[piece]
-            rows[piece, 1:5] = integrate_rates(rates, dt, q0, method=method, max_gap=math.inf)
-            rows[piece, 5:] = k
-    if texts:
-        rounding.warn(texts[0])
+    rows[:, 1:] = integrate_rates(log.rates, log.dt, q0, method=method, max_gap=math.inf)
     return rows
 
 
@@ -45,11 +35,11 @@ def check_ending(path: Path) -> None:
         raise GyroLogError(f"--out: found the ending {path.suffix!r}; accepted: .csv and .npy")
 
 
-def write_attitudes(path: Path, rows: Rows) -> None:
+def write_attitudes(path: Path, rows: NDArray[np.float64]) -> None:
     """Write rows to a file, whole or not at all: an array, or text with a line of names."""
     if path.suffix == ".csv":
         parts = (rows[k : k + _CHUNK].tolist() for k in range(0, len(rows), _CHUNK))
-        write_csv("--out", path, _NAMES[: rows.shape[1]], chain.from_iterable(parts))
+        write_csv("--out", path, _NAMES, chain.from_iterable(parts))
         return
     with writing("--out", path) as file:  # by its buffer, since a pipe has no position
         header = np.lib.format.header_data_from_array_1_0(rows)

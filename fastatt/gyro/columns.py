@@ -73,6 +73,7 @@ _SENSORS = {
     "like mag": r".*mag.*|m",
     "unnamed": "",
 }
+_WORDS = {"accel": "accelerometer", "mag": "magnetometer"}
 # columns of a sensor that are not its samples
 _NO_SAMPLES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
@@ -167,17 +168,25 @@ def gyro(names: Sequence[str], file: str) -> list[int] | None:
     return found[0] if found else None
 
 
-def other_sensor(names: Sequence[str], sensor: str, known: Format | None) -> tuple[list[int], str]:
-    """Columns of the "accel" or "mag" whose names and unit say so; else [] and what was found."""
-    named = triples(names, sensor)
+def other_sensor(
+    names: Sequence[str], sensor: str, known: Format | None
+) -> tuple[list[int], float, str]:
+    """Columns of the "accel" or "mag" whose names and unit say so, [] for none; and their unit.
+
+    The unit of an accelerometer is in m/s², that of a magnetometer is 1. Last is what was found.
+    """
+    named, word = triples(names, sensor), _WORDS[sensor]
     if known and sensor == "accel":
         named += [x for x in triples(names, "like accel") if re.fullmatch(known.accel, names[x[0]])]
-    fit = [axes for axes in named if unit_of_other(sensor, names[axes[0]], known)]
+    units = [unit_of_other(sensor, names[axes[0]], known) for axes in named]
+    fit = [(axes, unit) for axes, unit in zip(named, units, strict=True) if unit]
     if len(fit) == 1:
-        return fit[0], ""
-    found = fit or named or triples(names, f"like {sensor}")
+        axes, unit = fit[0]
+        scale = ACCEL_UNITS[unit] if sensor == "accel" else 1.0
+        return axes, scale, f"{word} in {unit}: {names[axes[0]]} ..."
     why = "one of several" if fit else "without a unit" if named else "of another quantity"
-    return [], f"{names[found[0][0]][:60]} ... is {why}" if found else ""
+    like = named or triples(names, f"like {sensor}")
+    return [], 1.0, f"no {word}: {names[like[0][0]][:60]} ... is {why}" if like else ""
 
 
 def unit_of_other(sensor: str, name: str, known: Format | None) -> str | None:
@@ -265,11 +274,6 @@ def _unit(match: re.Match[str]) -> str:
 def _spelled(word: str) -> str:
     """The usual spelling of a unit, or the word itself."""
     return next((unit for unit, known in _SPELLINGS.items() if re.fullmatch(known, word)), word)
-
-
-def is_unit(text: str) -> bool:
-    """Whether a cell in a second line of names is a unit."""
-    return not text or _RATE.fullmatch(text.lower()) is not None or len(text) <= 8
 
 
 def bare(name: str) -> tuple[str, str]:

@@ -11,11 +11,9 @@ from typing import Any
 
 from fastatt._jit import helper, kernel
 from fastatt._numba import to_fixed_tuple
-from fastatt.codegen.scalar import scalar_function
 from fastatt.gyro.integrate import method_of
 from fastatt.kernels import quat
 from fastatt.methods import samples as _samples
-from fastatt.methods.windows import Iteration, products
 
 __all__ = [
     "coning2", "coning2_increments", "hold", "hold_increments", "previous", "previous_increments",
@@ -256,23 +254,19 @@ class SampleStepper:
     samples : int
         Number of samples in the window: rates at the ends of all these intervals, rad/s, or
         increments over them, rad.
-    work : int
-        Length of the array ``work``.
     step : callable
         ``step(q, v, h)`` returns the ``span`` attitudes after q, flat. v are the samples and h the
         intervals, s, as flat tuples with the oldest first. For Python and jitted code.
     step_into : callable
-        ``step_into(samples, intervals, out, work)`` fills ``out[1:]`` from arrays: samples
-        (``samples``, 3), intervals (``history`` + ``span``,), out (``span`` + 1, 4), whose first
-        row is the attitude at the start of the window, and work (``work``,), which is not used. All
-        arrays are contiguous and of one float type.
+        ``step_into(samples, intervals, out)`` fills ``out[1:]`` from arrays: samples (``samples``,
+        3), intervals (``history`` + ``span``,) and out (``span`` + 1, 4), whose first row is the
+        attitude at the start of the window. All arrays are contiguous and of one float type.
     """
 
     method: str
     history: int
     span: int
     samples: int
-    work: int
     step: Any
     step_into: Any
 
@@ -283,7 +277,7 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
     Parameters
     ----------
     method : str
-        A method for samples, such as "coning2".
+        A method for samples, such as "coning2". "picard" iterates and has no such step.
     increments : bool, default False
         Whether the samples are angle increments.
 
@@ -310,18 +304,13 @@ def sample_step(method: str, *, increments: bool = False) -> SampleStepper:
     >>> stepper.history, stepper.span, stepper.samples
     (0, 1, 2)
     """
-    window = method_of(method, increments).window
+    window = method_of(method, increments, iterates=False).window
     sizes = 3 * window.samples(increments), window.intervals, 4 * window.span
-    if window.iteration is not None:
-        step = scalar_function(_passes(window.iteration, increments))
-        step_into = kernel(_into(step, *sizes), cache=False)
-    else:
-        # it closes over plain functions alone, which Numba's disk cache recognises
-        plain = _stepped(_TURNED[window.span], window.formula(increments))
-        step, step_into = kernel(plain), kernel(_into(helper(plain), *sizes))
+    # it closes over plain functions alone, which Numba's disk cache recognises
+    step = _stepped(_TURNED[window.span], window.formula(increments))
     return SampleStepper(
         method=method, history=window.history, span=window.span, samples=window.samples(increments),
-        work=0, step=step, step_into=step_into,
+        step=kernel(step), step_into=kernel(_into(helper(step), *sizes)),
     )  # fmt: skip
 
 
@@ -332,18 +321,8 @@ def _stepped(apply: Any, formula: Any) -> Callable[..., Any]:
     return step
 
 
-def _passes(iteration: Iteration, increments: bool) -> Callable[..., Any]:
-    def step(q: Any, v: Any, h: Any) -> Any:
-        state = iteration.begin(increments, v, h)
-        for _ in range(iteration.passes):
-            state = iteration.again(state)
-        return tuple(products(q, iteration.read(state[:-1])))
-
-    return step
-
-
 def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:
-    def step_into(samples, intervals, out, work):
+    def step_into(samples, intervals, out):
         q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
         v = to_fixed_tuple(samples.ravel(), n_samples)
         d = step(q, v, to_fixed_tuple(intervals, n_intervals))

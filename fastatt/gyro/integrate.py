@@ -179,12 +179,15 @@ def methods_for_samples(increments: bool = False) -> dict[str, Method]:
     return {m.name: m for m in METHODS.values() if scene in m.scenes}
 
 
-def method_of(name: str, increments: bool) -> Method:
-    """The method for samples of a name; raises ``ValueError`` for any other."""
+def method_of(name: str, increments: bool, *, iterates: bool = True) -> Method:
+    """The method for samples of a name; raises ``ValueError`` for any other.
+
+    ``iterates`` is False if the method must have a formula for its windows.
+    """
     named = methods_for_samples(checks.flag("increments", increments))
-    if type(name) is not str or name not in named:
-        name = checks.choice("method", name, named)
-    return named[name]
+    if not iterates:
+        named = {name: x for name, x in named.items() if x.window.iteration is None}
+    return named[checks.choice("method", name, named)]
 
 
 def _output(out: NDArray[Any], shape: tuple[int, ...], precision: np.dtype[Any]) -> NDArray[Any]:

@@ -4,7 +4,6 @@ An interval is compared with the usual one, the median:
 
 | times the usual one, more than | meaning |
 | --- | --- |
-| ``MISSING`` | across rows left out of a file: a sample is missing there |
 | ``REGULAR`` | is left out of a file's mean sample rate |
 | ``Window.uneven``, or less than its inverse | the windows of a method begin anew |
 | ``GAP`` | a gap: refused by default; a stream warns of it |
@@ -27,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from fastatt import checks
 
-MISSING, REGULAR, GAP = 1.5, 2.5, 10.0
+REGULAR, GAP = 2.5, 10.0
 #: intervals before one, whose median is the usual interval there
 RECENT = 8
 

@@ -1,12 +1,12 @@
-"""The loops over logs that all methods share: plain loops over NumPy arrays.
+"""The loop over logs that all methods share: a plain loop over NumPy arrays.
 
 Attitudes of a log are q = p∘r, with p at the start of a chunk of 48 intervals and the rotation r
-from there. The samples of each lane's chunk are loaded into rows, the windows of a method run
-across the lanes, and the attitudes are stored. Rotations of chunks are computed in parallel lanes,
-for many logs or for one, and then chained through p. The bits of a log therefore do not depend on
-other logs, on how it is divided, or on the number of threads.
+from there. A tile has a chunk in each lane: of the logs side by side, or the chunks of one log one
+after the other. Its samples are loaded into rows, the windows of a method run across the lanes, the
+chunks are chained through p, and the attitudes are stored. The bits of a log therefore do not
+depend on other logs, on how it is divided, or on the number of threads.
 
-The windows for any rotation angle are compiled when a chunk first needs them. A loop then returns
+The windows for any rotation angle are compiled when a tile first needs them. The loop then returns
 the index of that tile, from which the next call continues.
 """
 
@@ -20,66 +20,37 @@ from numba import types
 
 from fastatt._jit import loop_part, machine
 from fastatt.codegen.call import TYPES, call
+from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK
 
 #: lanes of a tile
 LANES = 16
-TILE = LANES * CHUNK
-
-
-class State(NamedTuple):
-    """The rows of a chunk's ``state``.
-
-    p at the start of a chunk, the rotation of the chunk, p at its end; the largest sample and
-    interval of each lane; then the rows of an iteration.
-    """
-
-    start: int = 0
-    turned: int = 4
-    next: int = 8
-    sample: int = 12
-    interval: int = 13
-    iteration: int = 14
-
-
-ROWS = State()
-
-
-class Actions(NamedTuple):
-    """The parts of a program's function (``fastatt.gyro.program``)."""
-
-    samples: int = 0
-    intervals: int = 1
-    windows: int = 2
-    place: int = 3
-    join: int = 4
-
-
-ACTIONS = Actions()
+#: the first row of an iteration in a tile's ``state``, after p at the start of each chunk
+ITERATION = 4
+#: the parts of a program's function (``fastatt.gyro.program``)
+WINDOWS, PLACE = 0, 1
 
 
 class WindowShape(NamedTuple):
     """The shape of a method's windows.
 
     ``extra`` is 1 for rates, which have one sample more than intervals; ``is_uneven`` says whether
-    intervals differ, and ``by_interval`` whether angles depend on each. ``near`` is the angle over
-    an interval, rad, below which rotations are at most π.
+    intervals differ. ``near`` is the angle over an interval, rad, below which rotations are at most
+    π.
     """
 
     history: int
     span: int
     extra: int
     is_uneven: int
-    by_interval: int
     near: float
 
 
 class Logs(NamedTuple):
-    """Logs of samples (N, 3 (lead + n)), with others beyond them (N, k, 3), and intervals, s.
+    """Logs of samples (N, lead + n, 3), with others beyond them (N, k, 3), and intervals, s.
 
-    ``lead`` samples come before the first interval. ``interval`` is the equal interval, s, and
-    ``factor`` times a sample is its angle over one. ``attitudes`` (N, 4 n_out) are written; ``q``
-    are p and r of each log (N, 8).
+    ``lead`` samples come before the first interval. ``interval`` is the equal interval, s.
+    ``attitudes`` (N, n + 1, 4) are written; ``q`` are p and r of each log (N, 8).
     """
 
     samples: Any
@@ -90,25 +61,25 @@ class Logs(NamedTuple):
     q: Any
     lead: int
     interval: float
-    factor: float
 
 
 class Part(NamedTuple):
-    """The intervals that a call integrates, ``done`` of whose first chunk are integrated already.
+    """The intervals of logs that a call integrates, ``done`` of whose first chunk are integrated.
 
-    ``log`` is the index of the log, if it is one. The windows are functions at two addresses: for
-    small angles and for any, or 0.
+    They are parts of ``n_chunks`` chunks. Each lane of a tile has a log, ``by_log`` 1, or the chunk
+    after that of the lane before, 0. The windows are functions at two addresses: for small angles
+    and for any, or 0.
     """
 
-    first: int
     n_intervals: int
     done: int
-    log: int
+    n_chunks: int
+    by_log: int
     small_angle: int
     any_angle: int
 
 
-class Chunk(NamedTuple):
+class Tile(NamedTuple):
     """The memory of a thread: rows of lanes for samples, intervals, attitudes, and a state."""
 
     samples: Any
@@ -117,177 +88,158 @@ class Chunk(NamedTuple):
     state: Any
 
 
-@loop_part
-def load(shape, logs, chunk, log, first, windows, width, by_log):
-    """Copy what the windows of chunks from an interval on need to lanes; the last one fills up.
+class Lane(NamedTuple):
+    """The intervals [first, end) of a log, and whether they complete a chunk.
 
-    Each lane has a log, ``by_log`` 1, or the chunk after that of the lane before, 0.
+    A lane that is not ``used`` repeats another one.
     """
-    n, intervals = logs.samples.shape[1] // 3 - logs.lead, shape.history + windows * shape.span
-    count = intervals + shape.extra
-    for lane in range(LANES):
-        k = min(lane, width - 1)
-        row, since = log + k * by_log, first - shape.history + k * CHUNK * (1 - by_log)
-        # samples [begin, end) are those of the log
-        begin = min(max(-logs.lead - since, 0), count)
-        end = max(min(n - since, count), begin)
-        at = 3 * (logs.lead + since)
-        known, lanes = logs.samples[row, at + 3 * begin : at + 3 * end], chunk.samples[3 * begin :]
-        for i in range(known.size):
-            lanes[i, lane] = known[i]
-        skipped = shape.history + logs.lead + since
-        for i in range(begin):
-            for axis in range(3):
-                chunk.samples[3 * i + axis, lane] = logs.before[row, skipped + i, axis]
-        for i in range(end, count):
-            beyond = min(since + i - n, logs.after.shape[1] - 1)
-            for axis in range(3):
-                chunk.samples[3 * i + axis, lane] = logs.after[row, beyond, axis]
-        if shape.is_uneven == 0:
-            chunk.intervals[0, lane] = logs.interval
-        else:
-            for i in range(intervals):
-                at = min(max(since + i, -logs.lead), logs.intervals.shape[0] - logs.lead - 1)
-                chunk.intervals[i, lane] = logs.intervals[at + logs.lead]
+
+    log: int
+    first: int
+    end: int
+    is_whole: bool
+    used: bool
 
 
 @loop_part
-def run_windows(shape, factor, part, chunk, windows, largest):
-    """Run the windows of a chunk; returns False if those for any angle are not compiled.
-
-    Both give the same bits for a rotation of at most π, so that the lanes of a tile do not affect
-    each other.
-    """
-    state, is_small, intervals = chunk.state, True, shape.history + windows * shape.span
-    for j in range(LANES):
-        state[ROWS.sample, j], state[ROWS.interval, j] = 0.0, 0.0
-    run(part.small_angle, ACTIONS.samples, chunk, 0, intervals + shape.extra)
-    if shape.by_interval != 0:
-        run(part.small_angle, ACTIONS.intervals, chunk, 0, intervals)
-    for j in range(LANES):
-        angle = float(state[ROWS.sample, j])
-        angle *= float(state[ROWS.interval, j]) if shape.by_interval != 0 else factor
-        is_small = is_small and angle < shape.near
-        largest[0] = max(largest[0], angle)
-    function = part.small_angle if is_small else part.any_angle
-    if function != 0:
-        run(function, ACTIONS.windows, chunk, 0, windows)
-    return function != 0
+def lane_of(part, n_logs, log, chunk, j):
+    """The lane number j of a tile that begins with a chunk of a log."""
+    log, chunk = log + j * part.by_log, chunk + j * (1 - part.by_log)
+    used = log < n_logs and chunk < part.n_chunks
+    log, chunk = min(log, n_logs - 1), min(chunk, part.n_chunks - 1)
+    end = (chunk + 1) * CHUNK - part.done
+    first, is_whole = max(end - CHUNK, 0), end <= part.n_intervals
+    return Lane(log, first, min(end, part.n_intervals), is_whole, used)
 
 
 @loop_part
-def run(function, action, chunk, first, last):
-    """Call a part of a program on the memory of a chunk."""
-    arrays = chunk.samples, chunk.intervals, chunk.attitudes, chunk.state
+def copied(source, to, j, largest):
+    """Copy samples to a lane; returns the largest size of a component so far, NaN left out."""
+    x = y = z = largest
+    for i in range(source.shape[0]):
+        a, b, c = source[i, 0], source[i, 1], source[i, 2]
+        to[i, 0, j], to[i, 1, j], to[i, 2, j] = a, b, c
+        x = abs(a) if abs(a) > x else x
+        y = abs(b) if abs(b) > y else y
+        z = abs(c) if abs(c) > z else z
+    return max(x, y, z)
+
+
+@loop_part
+def load(shape, logs, tile, lane, j, count):
+    """Copy what windows over ``count`` intervals need; returns their largest angle."""
+    n, since = logs.samples.shape[1] - logs.lead, lane.first - shape.history
+    n_intervals = shape.history + count
+    n_samples = n_intervals + shape.extra
+    # samples [begin, end) are those of the log
+    begin = min(max(-logs.lead - since, 0), n_samples)
+    end = max(min(n - since, n_samples), begin)
+    known = logs.samples[lane.log, logs.lead + since + begin : logs.lead + since + end]
+    before = logs.before[lane.log, logs.lead + lane.first :]
+    largest = copied(before[:begin], tile.samples, j, logs.samples.dtype.type(0.0))
+    largest = copied(known, tile.samples[begin:], j, largest)
+    for i in range(end, n_samples):
+        beyond = min(since + i - n, logs.after.shape[1] - 1)
+        after = logs.after[lane.log, beyond : beyond + 1]
+        largest = copied(after, tile.samples[i:], j, largest)
+    tile.intervals[0, j] = longest = logs.interval
+    if shape.is_uneven != 0:
+        for i in range(n_intervals):
+            at = min(max(since + i, -logs.lead), logs.intervals.shape[0] - logs.lead - 1)
+            tile.intervals[i, j] = logs.intervals[logs.lead + at]
+            longest = max(longest, float(logs.intervals[logs.lead + at]))
+    return float(largest) * (longest if shape.extra != 0 else 1.0)
+
+
+@loop_part
+def run(function, action, tile, first, last):
+    """Call a part of a program on the memory of a tile."""
+    arrays = tile.samples, tile.intervals, tile.attitudes, tile.state
     call(function, action, arrays, (first, last))
 
 
 @loop_part
-def copy(source, first, to, row):
-    """Copy a quaternion in all lanes."""
-    for i in range(4):
-        for j in range(LANES):
-            to[row + i, j] = source[first + i, j]
+def chain(tile, lane, j, q):
+    """Copy p at the start of a chunk from q, and write p and r at its end."""
+    p, r = (q[0], q[1], q[2], q[3]), tile.attitudes[lane.end - lane.first]
+    turned = (r[0, j], r[1, j], r[2, j], r[3, j])
+    after = quat.renormalise(quat.mul(p, turned))
+    for k in range(4):
+        tile.state[k, j] = q[k]
+        if lane.is_whole:
+            q[k] = after[k]
+            q[4 + k] = 1.0 if k == 0 else 0.0
+        else:
+            q[4 + k] = turned[k]
 
 
 @loop_part
-def unturn(attitudes):
-    """Begin a chunk with the identity in all lanes."""
-    for j in range(LANES):
+def store(logs, tile, lane, j):
+    """Copy the attitudes after the intervals of a lane to its log, and that at the log's start."""
+    first = min(lane.first, 1)
+    attitudes = logs.attitudes[lane.log, lane.first + first : lane.end + 1]
+    for i in range(attitudes.shape[0]):
         for k in range(4):
-            attitudes[k, j] = 1.0 if k == 0 else 0.0
+            attitudes[i, k] = tile.attitudes[first + i, k, j]
 
 
-@loop_part
-def store(chunk, logs, log, at, count, width, by_log):
-    """Copy ``count`` attitudes after an interval to logs, and that at its start if it is 0."""
-    for lane in range(width):
-        shift = lane * CHUNK * (1 - by_log)
-        first, last = min(at + shift, 1), min(count - shift, CHUNK) + 1
-        attitudes = logs.attitudes[
-            log + lane * by_log, 4 * (at + shift + first) : 4 * (at + shift + last)
-        ]
-        lanes = chunk.attitudes[4 * first :]
-        for i in range(attitudes.size):
-            attitudes[i] = lanes[i, lane]
+def integrate_tiles(shape, logs, part, tile, largest, first, last):
+    """Integrate the tiles [first, last) from p and r, which are updated.
 
-
-def sweep(shape, logs, part, chunk, largest, first, last):
-    """Integrate the logs [first, last), a lane each; returns the first tile not run."""
-    state, attitudes = chunk.state, chunk.attitudes
-    for tile in range(first, last, LANES):
-        width = min(last - tile, LANES)
-        for j in range(LANES):
-            for k in range(4):
-                state[ROWS.start + k, j] = logs.q[tile + min(j, width - 1), k]
-                attitudes[k, j] = logs.q[tile + min(j, width - 1), 4 + k]
-        integrated, done = 0, part.done
-        while integrated < part.n_intervals:
-            left = min(part.n_intervals - integrated, CHUNK - done)
-            windows, begin = (left + shape.span - 1) // shape.span, part.first + integrated
-            load(shape, logs, chunk, tile, begin, windows, width, 1)
-            if not run_windows(shape, logs.factor, part, chunk, windows, largest):
-                return tile
-            copy(attitudes, 4 * left, state, ROWS.turned)
-            run(part.small_angle, ACTIONS.place, chunk, 0, left + 1)
-            store(chunk, logs, tile, begin, left, width, 1)
-            copy(state, ROWS.turned, attitudes, 0)
-            if done + left == CHUNK:
-                run(part.small_angle, ACTIONS.join, chunk, 0, LANES)
-                copy(state, ROWS.next, state, ROWS.start)
-                unturn(attitudes)
-            integrated, done = integrated + left, 0
-        for j in range(width):
-            for k in range(4):
-                logs.q[tile + j, k] = state[ROWS.start + k, j]
-                logs.q[tile + j, 4 + k] = attitudes[k, j]
-    return last
-
-
-def along(shape, logs, part, chunk, largest, first, last):
-    """Integrate tiles of one log from p and r, which are updated; returns the tile not run.
-
-    Each lane has a chunk; the last one may be shorter.
+    Both functions give the same bits for a rotation of at most π, so that the lanes of a tile do
+    not affect each other. Returns the first tile not run, since windows for any angle are not
+    compiled; ``largest`` is the largest component of an angle so far.
     """
-    state, attitudes, q = chunk.state, chunk.attitudes, logs.q[part.log]
-    for tile in range(first, last):
-        left, begin = part.n_intervals - tile * TILE, part.first + tile * TILE
-        width = min((left + CHUNK - 1) // CHUNK, LANES)
-        windows = (min(left, CHUNK) + shape.span - 1) // shape.span
-        load(shape, logs, chunk, part.log, begin, windows, width, 0)
-        unturn(attitudes)
-        if not run_windows(shape, logs.factor, part, chunk, windows, largest):
-            return tile
-        for j in range(width):
-            length = min(left - j * CHUNK, CHUNK)
+    n_logs = logs.q.shape[0]
+    per_log = part.n_chunks if part.by_log != 0 else (part.n_chunks + LANES - 1) // LANES
+    for number in range(first, last):
+        log, chunk = number // per_log, number % per_log
+        if part.by_log != 0:
+            log *= LANES
+        else:
+            chunk *= LANES
+        longest, angle = 0, 0.0
+        for j in range(LANES):
+            lane = lane_of(part, n_logs, log, chunk, j)
+            longest = max(longest, lane.end - lane.first)
+        windows = (longest + shape.span - 1) // shape.span
+        for j in range(LANES):
+            lane = lane_of(part, n_logs, log, chunk, j)
+            angle = max(angle, load(shape, logs, tile, lane, j, windows * shape.span))
             for k in range(4):
-                state[ROWS.turned + k, j] = attitudes[4 * length + k, j]
-                state[ROWS.start + k, j] = q[k]
-            run(part.small_angle, ACTIONS.join, chunk, j, j + 1)
-            for k in range(4):
-                if length == CHUNK:
-                    q[k] = state[ROWS.next + k, j]
-                else:
-                    q[4 + k] = state[ROWS.turned + k, j]
-        run(part.small_angle, ACTIONS.place, chunk, 0, min(left, CHUNK) + 1)
-        store(chunk, logs, part.log, begin, left, width, 0)
+                unturned = 1.0 if k == 0 else 0.0
+                tile.attitudes[0, k, j] = logs.q[lane.log, 4 + k] if lane.first == 0 else unturned
+        largest[0] = max(largest[0], angle)
+        function = part.small_angle if angle < shape.near else part.any_angle
+        if function == 0:
+            return number
+        run(function, WINDOWS, tile, 0, windows)
+        for j in range(LANES):
+            lane = lane_of(part, n_logs, log, chunk, j)
+            if lane.used:
+                chain(tile, lane, j, logs.q[lane.log])
+        run(part.small_angle, PLACE, tile, 0, longest + 1)
+        for j in range(LANES):
+            lane = lane_of(part, n_logs, log, chunk, j)
+            if lane.used:
+                store(logs, tile, lane, j)
     return last
 
 
 @functools.cache
-def loop(name: str, kind: str) -> Callable[..., int]:
-    """``sweep`` or ``along`` for a precision."""
+def loop(kind: str) -> Callable[..., int]:
+    """``integrate_tiles`` for a precision."""
     real, n, number = TYPES[kind], types.int64, types.float64
 
     def of(axes: int, kind: Any = real) -> Any:
         return types.Array(kind, axes, "C")
 
-    samples = types.Array(real, 2, "C", readonly=True)
+    samples = types.Array(real, 3, "C", readonly=True)
     arguments = (
-        types.NamedTuple([n, n, n, n, n, number], WindowShape),
-        types.NamedTuple([samples, of(3), of(3), of(1), of(2), of(2), n, number, number], Logs),
+        types.NamedTuple([n, n, n, n, number], WindowShape),
+        types.NamedTuple([samples, of(3), of(3), of(1), of(3), of(2), n, number], Logs),
         types.NamedTuple([n] * len(Part._fields), Part),
-        types.NamedTuple([of(2)] * 4, Chunk),
+        types.NamedTuple([of(3), of(2), of(3), of(2)], Tile),
         of(1, number),
     )
-    return machine({"sweep": sweep, "along": along}[name], n(*arguments, n, n))
+    return machine(integrate_tiles, n(*arguments, n, n))

@@ -3,30 +3,29 @@
 ``run(action, samples, spans, attitudes, state, first, last)`` works on arrays of rows with a number
 for each lane. ``action`` selects what is done:
 
-- ``samples``, ``intervals``: the largest sizes of samples, or intervals, [first, last).
 - ``windows``: the windows [first, last), one after the other, from the attitudes in rows 0 to 3.
-- ``place``: attitudes [first, last) become p∘r, with p in the rows ``start`` of ``state``.
-- ``join``: for the lanes [first, last), p at the start of the next chunk, ``next``, from ``start``
-  and the rotation of this chunk, ``turned``.
+- ``place``: attitudes [first, last) become p∘r, with p in the first rows of ``state``.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, aligned
+from fastatt.codegen.modules import MachineCode
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.gyro.loops import ACTIONS, LANES, ROWS, Chunk, WindowShape
+from fastatt.gyro.loops import ITERATION, LANES, PLACE, WINDOWS, Tile, WindowShape
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.graph import Graph, choose
+from fastatt.tracing.graph import Graph
 from fastatt.tracing.trace import traceable
 
 _ARRAYS = ("samples", "spans", "attitudes", "state")
@@ -47,36 +46,43 @@ class GyroProgram(TwoForms):
         self.window, self.increments, self.uneven = window, increments, uneven
         self.precision, self.kind = precision, _KINDS[precision]
         self._vector = processor().lanes(self.kind)
-        self._state = ROWS.iteration
+        self._state = ITERATION
         self.shape = WindowShape(
             history=window.history,
             span=window.span,
             extra=not increments,
             is_uneven=uneven,
-            by_interval=uneven and not increments,
             near=0.0 if window.iteration else window.near,
         )
         # an iteration has the same form for all angles
         super().__init__(one_form=window.iteration is not None)
 
-    def _new_memory(self) -> Chunk:
-        """Rows for samples, intervals, attitudes and state of a chunk's lanes."""
-        rows = (3 * (CHUNK + MOST_HISTORY + 1), CHUNK + MOST_HISTORY, 4 * CHUNK + 4, self._state)
-        return Chunk(*(aligned(n * LANES, self.precision).reshape(n, LANES) for n in rows))
+    def _new_memory(self) -> Tile:
+        """Rows for samples, intervals, attitudes and state of a tile's lanes."""
+        shapes = (
+            (CHUNK + MOST_HISTORY + 1, 3), (CHUNK + MOST_HISTORY,), (CHUNK + 1, 4), (self._state,)
+        )  # fmt: skip
+        return Tile(
+            *(aligned(math.prod(x) * LANES, self.precision).reshape(*x, LANES) for x in shapes)
+        )
 
-    def _compiled(self, *, small_angle: bool) -> Any:
-        formulas = self._windows(small_angle)
-        if small_angle:
-            formulas |= self._chain() | self._largest()
-        text = "\n".join([*self._text(formulas), ""])
+    def _compiled(self, *, small_angle: bool) -> MachineCode:
+        graph = Graph()
+        p, q = (graph.inputs(self.kind, name, 4) for name in "pq")
+        placed = Flat(graph, products(p, q), self.kind)
+        formulas = {
+            "place": self._formula(placed, "attitudes", 0),
+            **self._windows(small_angle),
+        }
+        text = "\n".join([*self._text(), ""])
         shape = Shape(self.kind, LANES, self._vector)
         lane_program = LaneProgram(text, formulas, shape, dict.fromkeys(_ARRAYS, self.kind))
         return lane_program.compiled()
 
-    def _text(self, formulas: _Formulas) -> Iterator[str]:
+    def _text(self) -> Iterator[str]:
         lanes = f"for j in range(0, {LANES}, {self._vector}):"
         yield "def run(action, samples, spans, attitudes, state, first, last):"
-        yield f"    if action == {ACTIONS.windows}:"
+        yield f"    if action == {WINDOWS}:"
         yield f"        {lanes}"
         yield "            for n in range(first, last):"
         span = self.window.span * LANES
@@ -85,30 +91,18 @@ class GyroProgram(TwoForms):
             yield f"                {_CALL.format(name='window', offsets=at)}"
         else:
             yield from _passes(self.window.iteration, at, self._state - 1, self._vector)
-        if "place" in formulas:
-            for action, name in ((ACTIONS.samples, "sample"), (ACTIONS.intervals, "interval")):
-                at = f"i * {3 * LANES} + j, i * {LANES} + j, j, j"
-                yield f"    if action == {action}:"
-                yield "        for i in range(first, last):"
-                yield f"            {lanes} {_CALL.format(name=name, offsets=at)}"
-            yield f"    if action == {ACTIONS.place}:"
-            yield "        for i in range(first, last):"
-            place = _CALL.format(name="place", offsets=f"j, j, i * {4 * LANES} + j, j")
-            yield f"            {lanes} {place}"
-            join = _CALL.format(name="join", offsets="j, j, j, j")
-            yield f"    if action == {ACTIONS.join}:"
-            yield f"        for j in range(first, last): {join}"
+        yield f"    if action == {PLACE}:"
+        yield "        for i in range(first, last):"
+        place = _CALL.format(name="place", offsets=f"j, j, i * {4 * LANES} + j, j")
+        yield f"            {lanes} {place}"
 
     # the formulas
 
-    def _formula(
-        self, flat: Flat, array: str, first: int, rows: Sequence[int] | None = None, lanes: int = 0
-    ) -> LaneFormula:
-        """A formula; its results go to ``rows`` from the first on, or to these rows in order."""
+    def _formula(self, flat: Flat, array: str, first: int) -> LaneFormula:
+        """A formula; its results go to the rows from the first on."""
         begin = {
             "v": ("samples", 0), "h": ("spans", 0), "q": ("attitudes", 0),
-            "p": ("state", ROWS.start), "turned": ("state", ROWS.turned),
-            "state": ("state", ROWS.iteration),
+            "p": ("state", 0), "state": ("state", ITERATION),
         }  # fmt: skip
 
         def place(group: str, i: int) -> Place:
@@ -117,32 +111,8 @@ class GyroProgram(TwoForms):
             return Place(row + i, array, "shared" if shared else "lanes")
 
         inputs = {name: place(*name) for name in flat.inputs()}
-        order = range(len(flat.results)) if rows is None else rows
-        return LaneFormula(flat, inputs, [Place(first + i, array) for i in order], lanes=lanes)
-
-    def _chain(self) -> _Formulas:
-        """p∘r, and p of the next chunk, renormalised by a Newton step."""
-        place, join = Graph(), Graph()
-        p, q = (place.inputs(self.kind, name, 4) for name in "pq")
-        placed = Flat(place, products(p, q), self.kind)
-        p, turned = (join.inputs(self.kind, name, 4) for name in ("p", "turned"))
-        joined = Flat(join, traceable(quat.renormalise)(tuple(products(p, turned))), self.kind)
-        return {
-            "place": self._formula(placed, "attitudes", 0),
-            "join": self._formula(joined, "state", ROWS.next, lanes=1),
-        }
-
-    def _largest(self) -> _Formulas:
-        """The largest sizes of samples and of intervals so far."""
-        formulas = {}
-        for name, group, n in (("sample", "v", 3), ("interval", "h", 1)):
-            graph = Graph()
-            sizes = map(abs, graph.inputs(self.kind, group, n))
-            # NaN is ignored
-            most = functools.reduce(lambda x, y: choose(y > x, y, x), sizes, 0.0)
-            formula = self._formula(Flat(graph, (most,), self.kind), "state", getattr(ROWS, name))
-            formulas[name] = formula._replace(largest=0)
-        return formulas
+        results = [Place(first + i, array) for i in range(len(flat.results))]
+        return LaneFormula(flat, inputs, results)
 
     def _windows(self, small_angle: bool) -> _Formulas:
         """The attitudes of a window, the last of which is the first of the next window."""
@@ -159,16 +129,13 @@ class GyroProgram(TwoForms):
         begin, again, end = Graph(), Graph(), Graph()
         state = iteration.begin(self.increments, *self._given(begin))
         size = len(state)
-        self._state = ROWS.iteration + size
-        before = again.inputs(self.kind, "state", size)
-        after = iteration.again(before)
-        changed = [i for i in range(size) if after[i] is not before[i]]
+        self._state = ITERATION + size
+        after = iteration.again(again.inputs(self.kind, "state", size))
         turns = iteration.read(end.inputs(self.kind, "state", size)[:-1])
         read = products(end.inputs(self.kind, "q", 4), turns)
-        improved = Flat(again, [after[i] for i in changed], self.kind)
         return {
-            "begin": self._formula(Flat(begin, state, self.kind), "state", ROWS.iteration),
-            "improve": self._formula(improved, "state", ROWS.iteration, changed),
+            "begin": self._formula(Flat(begin, state, self.kind), "state", ITERATION),
+            "improve": self._formula(Flat(again, after, self.kind), "state", ITERATION),
             "read": self._formula(Flat(end, read, self.kind), "attitudes", 4),
         }
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,12 +16,10 @@ from fastatt.gyro import stamps
 from fastatt.gyro.columns import UNITS
 from fastatt.gyro.intervals import REGULAR
 from fastatt.gyro.log import GyroLog, GyroLogError, GyroLogWarning
-from fastatt.gyro.rows import ON_BAD_ROWS, Samples, in_order
+from fastatt.gyro.rows import ON_BAD_ROWS, in_order
 from fastatt.gyro.tables import Table, in_memory, tabular
 from fastatt.gyro.text import from_text
 
-_LEAST_RATE = 1e-290  # Hz, below which times overflow
-_OTHERS = {"accel": "accelerometer", "mag": "magnetometer"}
 _WRAPS = 1 << 16
 _MANY = 0.01  # share of rows; leaving out more is warned of
 
@@ -36,19 +32,16 @@ def read_gyro_log(
     unit: str | None = None,
     rate: float | None = None,
     time_column: str | None = None,
-    accel_columns: Sequence[str] | None = None,
-    mag_columns: Sequence[str] | None = None,
     rows: tuple[str, object] | Sequence[tuple[str, object]] | None = None,
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
-    bias_seconds: float | None = None,
 ) -> GyroLog:
     """Read a gyro log.
 
     The columns of a text table are separated by commas, semicolons, tabs or blanks, and its numbers
     may have decimal commas, unless commas separate the columns. The table may be compressed with
-    gzip. The names of the columns are in its first lines or in a comment, and a line of units
-    may follow. Text tables need pandas, which ``pip install 'fastatt[logs]'`` installs.
+    gzip. The names of the columns are in the line before the numbers or in a comment. Text
+    tables need pandas, which ``pip install 'fastatt[logs]'`` installs.
 
     Nothing is guessed. The columns are known by the names that loggers write. Units are those in
     the names, or those that a format defines: PX4's ``gyro_rad``, ROS's ``angular_velocity`` with
@@ -62,7 +55,7 @@ def read_gyro_log(
         xarray data set, or a mapping of names to arrays.
     time_unit : str, optional
         "s", "ms", "100us", "us" or "ns", if neither the name of the column nor a format has the
-        unit. Dates (ISO 8601), times of day (hh:mm:ss) and durations have none.
+        unit. Dates (ISO 8601) and durations have none.
     columns : sequence of str or int, optional
         Names of the gyro's columns x, y and z, or their numbers from 1.
     unit : str, optional
@@ -74,26 +67,17 @@ def read_gyro_log(
         missing.
     time_column : str or int, optional
         Name or number of the column of time stamps.
-    accel_columns, mag_columns : sequence of str or int, optional
-        Names or numbers of the columns x, y and z of the accelerometer and of the magnetometer. By
-        default they are read if their names say that they are specific force or magnetic field, and
-        their unit. An accelerometer that is named here without a unit is left in the log's unit.
     rows : (str, str), or sequence of these, optional
         A column and the text that a row has there, such as ``("name", "IMU")``, to read only such
         rows of a table with several kinds of rows or several sensors. By default such a table is
         refused; () reads all rows.
-    on_bad_rows : {"refuse", "drop", "split"}, default "refuse"
+    on_bad_rows : {"refuse", "drop"}, default "refuse"
         Treatment of bad rows, which have no rate, no time stamp or a stamp that does not increase,
         and of gaps. "refuse" raises an error. "drop" leaves bad rows out, so that the next interval
-        is longer, and keeps a gap as one long interval. "split" leaves bad rows out too, and starts
-        a new piece (``log.pieces``) where samples are missing. Stamps that many rows share, as in
-        packets, are always refused: pass ``rate`` in their place.
+        is longer, and keeps a gap as one long interval. Stamps that many rows share, as in packets,
+        and those of a clock that was reset are always refused: pass ``rate`` in their place.
     max_gap : float, optional
-        Longest interval that is not a gap, s; the default is 10 times the median interval, or
-        10/``rate``.
-    bias_seconds : float, optional
-        Duration, s, from the first sample, during which the sensor is at rest. The mean rate over
-        it is subtracted as the bias, which ``summary`` has.
+        Longest interval that is not a gap, s; the default is 10 times the median interval.
 
     Returns
     -------
@@ -127,16 +111,17 @@ def read_gyro_log(
     ((2, 3), array([0.01]))
     """
     checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
-    checks.choice("unit", unit or "rad/s", UNITS)
-    checks.choice("time_unit", time_unit or "s", names.TIME_UNITS)
-    max_gap, bias_seconds = _span("max_gap", max_gap), _span("bias_seconds", bias_seconds)
-    asked = {"accel": accel_columns, "mag": mag_columns}
+    for name, given, units in (("unit", unit, UNITS), ("time_unit", time_unit, names.TIME_UNITS)):
+        if given is not None:
+            checks.choice(name, given, units)
+    if max_gap is not None:
+        max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
     table = in_memory(source) if tabular(source) else from_text(source)
     try:
         gyro = _gyro(table, columns)
         axes = tuple(table.column(i) for i in gyro)
         defined = names.format_of(table.names, axes, table.name)
-        others, said = _others(table, asked, defined)
+        others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
         clock = [] if rate is not None else _clock(table, time_column, defined)
         unit = unit or ("rad/s" if defined else names.rate_unit(axes))
         chosen = _chosen(table, rows)
@@ -144,52 +129,39 @@ def read_gyro_log(
         raise table.error(error) from None
     hertz = math.nan if clock else _rate(table, rate)
     counter = _counter(table, stamped=bool(clock))
-    wanted = {"gyro": gyro, **others, "counter": counter}
+    wanted = {"gyro": gyro, "counter": counter}
+    wanted |= {sensor: axes for sensor, (axes, *_) in others.items()}
     values, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
     if unit is None:
         raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(UNITS)}")
+    count, jumps = _counted(values.get("counter"), len(values["gyro"]))
     with np.errstate(over="ignore"):
         rates = values["gyro"] * UNITS[unit]
-    count, jumps = _counted(values.get("counter"), len(rates))
-    t, start = count / hertz, 0.0
+        t, start = count / hertz, 0.0
     if raw is not None:
         t, start = stamps.times(table, clock, raw, time_unit, defined)
     clock_name = " and ".join(table.column(i) for i in clock or counter)
     timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
-    samples = in_order(
-        table, clock_name, t, rates, on_bad_rows, max_gap, jumps,
-        usual=None if clock else 1.0 / hertz,
-    )  # fmt: skip
-    _check(table, samples, len(t), least=2 if clock else 1)
-    rates = rates[samples.rows]
-    measured = _in_si(table, others, values, defined, said)
-    if bias_seconds is not None:
-        bias = _bias(table, samples.t, rates, bias_seconds)
-        said.append(f"bias {', '.join(f'{b:.3g}' for b in bias)} rad/s taken off")
-        rates -= bias
-    dt = np.diff(samples.t)
-    if not (clock or samples.said):
+    times, kept, bad = in_order(table, clock_name, t, rates, on_bad_rows, max_gap, jumps)
+    _check(table, len(kept), bad, len(t))
+    rates = rates[kept]
+    dt = np.diff(times)
+    if not (clock or bad):
         dt[:] = 1.0 / hertz
-    usual = float(np.median(dt)) if len(dt) else 1.0 / hertz
-    mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * usual])) if len(dt) else hertz
-    said[:0] = [
+    mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
+    said = [
         f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
         f"{', '.join(axes)} in {unit}",
+        *(text for *_, text in others.values() if text),
+        *bad,
     ]
+    measured = {
+        sensor: values[sensor][kept] * scale for sensor, (axes, scale, _) in others.items() if axes
+    }
     return GyroLog(
-        path=Path(table.name), columns=axes, unit=unit, timing=timing, rate=mean_rate,
-        t=samples.t, dt=dt, start=start + float(t[samples.rows[0]]), rates=rates,
-        **{sensor: numbers[samples.rows] for sensor, numbers in measured.items()},
-        pieces=tuple(slice(a, b) for a, b in pairwise([0, *samples.cuts, len(rates)])),
-        events=tuple((*event,) for event in samples.events),
-        summary="; ".join([*said, *samples.said]),
+        t=times, dt=dt, rate=mean_rate, start=start + float(t[kept[0]]), rates=rates,
+        summary="; ".join(said), **measured,
     )  # fmt: skip
-
-
-def _span(name: str, seconds: float | None) -> float | None:
-    if seconds is None:
-        return None
-    return checks.above_zero(name, seconds, "a number above 0, s", finite=False)
 
 
 def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
@@ -205,40 +177,6 @@ def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
     return gyro
 
 
-def _others(
-    table: Table, asked: Mapping[str, Sequence[str] | None], defined: names.Format | None
-) -> tuple[dict[str, list[int]], list[str]]:
-    """Columns of the other sensors, [] for none; and what is said of those left out."""
-    found, said = {}, []
-    for sensor, word in _OTHERS.items():
-        columns = asked[sensor]
-        if columns is not None:
-            found[sensor] = table.chosen(columns, 3, f"{sensor}_columns")
-            continue
-        found[sensor], why = names.other_sensor(table.names, sensor, defined)
-        said += [f"no {word}: {why}"] if why else []
-    return found, said
-
-
-def _in_si(
-    table: Table,
-    others: Mapping[str, list[int]],
-    values: Mapping[str, NDArray[np.float64]],
-    defined: names.Format | None,
-    said: list[str],
-) -> dict[str, NDArray[np.float64]]:
-    """The other sensors' numbers in SI units, as far as their columns say; adds what is said."""
-    found = {}
-    for sensor, columns in others.items():
-        if columns:
-            name = table.column(columns[0])
-            unit = names.unit_of_other(sensor, name, defined) or "the unit of the log"
-            said.append(f"{_OTHERS[sensor]} in {unit}: {name} ...")
-            scale = names.ACCEL_UNITS.get(unit, 1.0) if sensor == "accel" else 1.0
-            found[sensor] = values[sensor] * scale
-    return found
-
-
 def _clock(table: Table, time_column: str | None, defined: names.Format | None) -> list[int]:
     """The columns of the time stamps; none if the file states its sample rate."""
     if time_column is not None:
@@ -252,8 +190,6 @@ def _clock(table: Table, time_column: str | None, defined: names.Format | None) 
             f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
             "a time column"
         )
-    for i in clock:
-        stamps.kind(table.first_row[i])
     return clock
 
 
@@ -263,12 +199,11 @@ def _chosen(table: Table, rows: Any) -> list[tuple[int, str]] | None:
         return None
     pairs = [rows] if isinstance(rows, tuple) and rows[:1] and isinstance(rows[0], str) else rows
     try:
-        return [(table.index(column, "rows"), str(text)) for column, text in pairs]
-    except (TypeError, ValueError) as error:
-        if isinstance(error, GyroLogError):
-            raise
+        texts = [(column, str(text)) for column, text in pairs]
+    except (TypeError, ValueError):
         accepted = 'a column and its text, as ("name", "IMU"), or a list of these'
         raise TypeError(f"rows: found {checks.brief(rows)}; accepted: {accepted}") from None
+    return [(table.index(column, "rows"), text) for column, text in texts]
 
 
 def _counter(table: Table, *, stamped: bool) -> list[int]:
@@ -295,40 +230,21 @@ def _counted(
 def _rate(table: Table, rate: float | None) -> float:
     """The given sample rate, or the file's."""
     if rate is not None:
-        number = checks.real("rate", rate)
-        if not number > _LEAST_RATE:
-            raise GyroLogError(f"rate: found {number}; accepted: a sample rate above 0, Hz")
-        return number
+        return checks.above_zero("rate", rate, "a sample rate above 0, Hz")
     if len(table.rates) > 1:
         found = " and ".join(f"{x:g}" for x in table.rates)
         raise table.error(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
     return table.rates[0]
 
 
-def _check(table: Table, samples: Samples, n: int, least: int) -> None:
+def _check(table: Table, kept: int, bad: list[str], n: int) -> None:
     """Refuse a log of too few samples; warn if many rows are left out."""
-    kept = len(samples.rows)
-    if kept < least:
-        found = f"{kept} of {n} rows that are samples"
-        raise table.error(f"found {found}; accepted: at least {('one', 'two')[least - 1]}")
+    if kept < 2:
+        raise table.error(f"found {kept} of {n} rows that are samples; accepted: at least two")
     if n - kept > _MANY * n:
-        counts = "; ".join(samples.said)
+        counts = "; ".join(bad)
         warnings.warn(
             f"{table.name}: {n - kept} of {n} rows are left out ({counts})",
             GyroLogWarning,
             stacklevel=3,
         )
-
-
-def _bias(
-    table: Table, t: NDArray[np.float64], rates: NDArray[np.float64], wanted: float
-) -> NDArray[np.float64]:
-    """The mean rate of a start at rest; refuses a shorter log."""
-    rest = t < wanted
-    if rest.all() or rest.sum() < 2:
-        found = "one sample in the first" if rest.sum() == 1 else "all of the log in the first"
-        raise table.error(
-            f"bias_seconds: found {found} {wanted:g} s; accepted: less than the log, and at least "
-            "two samples"
-        )
-    return np.asarray(rates[rest].mean(axis=0))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import checks
 from fastatt.gyro.columns import TIME_UNITS, Format, time_unit
 from fastatt.gyro.log import GyroLogError
 
@@ -18,11 +19,10 @@ if TYPE_CHECKING:
 
 NO_STAMP = np.iinfo(np.int64).min  # missing, among whole numbers and dates: NaT
 DATE = "1970-01-01T00:00"
-Kind = Literal["float", "int", "date", "day"]
+Kind = Literal["float", "int", "date"]
 # formats of stamps that are not plain numbers; a double does not hold 16 digits
 _KINDS: dict[Kind, re.Pattern[str]] = {
     "date": re.compile(r"(19|20)\d\d-\d\d-\d\d[T ]\d\d:\d\d.*", re.ASCII),
-    "day": re.compile(r"\d{1,2}:[0-5]\d:[0-5]\d(\.\d+)?", re.ASCII),
     "int": re.compile(r"\d{16,19}", re.ASCII),
 }
 # dates that are not read
@@ -30,20 +30,13 @@ _OTHER_DATES = {
     "a date of which day and month can be mistaken": re.compile(r"\d{1,4}([/.])\d{1,2}\1\d{1,4}.*"),
     "a date by the day of the year": re.compile(r"\d{4}-\d{3}(?!\d).*"),
 }
-_DAY = 86_400 * 10**9  # ns
 # sample rates of gyros, Hz; another rate means a wrong unit
 SLOWEST, FASTEST = 0.1, 1e6
 
 
 def pandas() -> Any:
     """pandas, which reads text."""
-    try:
-        import pandas as pd
-    except ImportError:
-        raise ImportError(
-            "read_gyro_log: text tables need pandas; pip install 'fastatt[logs]'"
-        ) from None
-    return pd
+    return checks.optional("read_gyro_log of a text", "pandas", "fastatt[logs]")
 
 
 def kind(cell: str) -> Kind:
@@ -55,24 +48,21 @@ def kind(cell: str) -> Kind:
         if pattern.fullmatch(cell):
             raise GyroLogError(
                 f"time stamps: found {cell[:40]!r}, {what}; accepted: dates of ISO 8601 "
-                "(YYYY-MM-DDThh:mm:ss), times of day (hh:mm:ss) and numbers"
+                "(YYYY-MM-DDThh:mm:ss) and numbers"
             )
     return next((k for k, pattern in _KINDS.items() if pattern.fullmatch(cell)), "float")
 
 
 def from_text(how: Kind, cells: list[str]) -> NDArray[Any]:
-    """Whole numbers; dates (ISO 8601) and times of day as ns; ``NO_STAMP`` for invalid text.
+    """Whole numbers; dates (ISO 8601) as ns; ``NO_STAMP`` for invalid text.
 
     Dates are counted from 1970, UTC; those without a zone are taken as UTC.
     """
     if how == "int":
         whole = [int(c) if c.isascii() and c.isdigit() and len(c) < 20 else -1 for c in cells]
         return np.array([w if 0 <= w < 2**63 else NO_STAMP for w in whole], dtype=np.int64)
-    if how == "date":
-        moments = pandas().to_datetime(cells, format="ISO8601", errors="coerce", utc=True)
-        return np.asarray(moments.tz_localize(None), "M8[ns]").view(np.int64)
-    cells = [c if _KINDS["day"].fullmatch(c) else "" for c in cells]
-    return np.asarray(pandas().to_timedelta(cells, errors="coerce"), "m8[ns]").view(np.int64)
+    moments = pandas().to_datetime(cells, format="ISO8601", errors="coerce", utc=True)
+    return np.asarray(moments.tz_localize(None), "M8[ns]").view(np.int64)
 
 
 def number(value: Any) -> float:
@@ -101,15 +91,6 @@ def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
     return np.where(good, total + np.where(good, part, 0.0).astype(np.int64), NO_STAMP)
 
 
-def past_midnight(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Times of day, ns, continued after midnight."""
-    good = valid(stamps)
-    days = np.round(np.diff(stamps[good], prepend=stamps[good][:1]) / _DAY).astype(np.int64)
-    whole = stamps.copy()
-    whole[good] -= _DAY * np.cumsum(days)
-    return whole
-
-
 def times(
     table: Table, clock: list[int], stamps: NDArray[Any], unit: str | None, known: Format | None
 ) -> tuple[NDArray[np.float64], float]:
@@ -122,11 +103,8 @@ def times(
     good, name = valid(stamps), table.column(clock[0])
     if not good.any():
         raise table.error(f"{name} has no time stamp")
-    how = kind(table.first_row[clock[0]])
-    if len(clock) > 1 or how in ("date", "day"):
+    if len(clock) > 1 or kind(table.first_row[clock[0]]) == "date":
         unit = "ns"
-    if how == "day":
-        stamps = past_midnight(stamps)
     unit = unit or _named_unit(table, name[:60], stamps[good], time_unit(name, known))
     first = stamps[np.argmax(good)]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -141,17 +119,12 @@ def _named_unit(table: Table, name: str, stamps: NDArray[Any], named: str | None
     gaps = gaps[np.isfinite(gaps) & (gaps > 0.0)]
     usual = float(np.median(gaps)) if gaps.size else math.nan
     hertz = {u: scale / usual for u, scale in TIME_UNITS.items()}
-    fitting = [f"{hertz[u]:.4g} Hz in {u}" for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
-    options = f"the unit of time, given as time_unit ({' or '.join(fitting) or 'none fits'})"
-    if named is None:
-        raise table.error(f"{name} has no unit; accepted: {options}, or a sample rate, as rate")
-    if named not in TIME_UNITS:
-        raise table.error(
-            f"{name}: found the unit {named!r}; accepted: s, ms, us, ns, or {options}"
-        )
-    if gaps.size and not SLOWEST < hertz[named] <= FASTEST:
-        raise table.error(
-            f"{name} gives {hertz[named]:.4g} Hz in {named}; accepted: above 0.1 Hz and up to "
-            f"1 MHz, or {options}"
-        )
-    return named
+    fitting = [u for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
+    if named in fitting or (named in TIME_UNITS and not gaps.size):
+        return named
+    found = f"gives {hertz[named]:.4g} Hz" if named in TIME_UNITS else f"is in {named!r}"
+    rates = " or ".join(f"{hertz[u]:.4g} Hz in {u}" for u in fitting) or "none fits"
+    raise table.error(
+        f"{name} {found if named else 'has no unit'}; accepted: the unit of time, given as "
+        f"time_unit ({rates}), or a sample rate, as rate"
+    )

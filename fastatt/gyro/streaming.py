@@ -156,23 +156,21 @@ class GyroIntegrator:
             gap in which many samples are missing, unless ``max_gap`` is given.
         """
         with self._lock:
-            return self._pushed(rates, dt)
-
-    def _pushed(self, rates: ArrayLike, dt: ArrayLike | None) -> Array:
-        self._check_open()
-        n_logs, increments = len(self._last), self._increments
-        accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
-        numbers = checks.array("rates", rates, accepted)
-        precision = self._precision or checks.precision(None, rates)
-        samples = numbers.astype(precision).reshape(n_logs, -1, 3)
-        n = samples.shape[1]
-        spans = self._intervals(dt, n if self._kept or increments else n - 1, precision)
-        kept = self.__dict__.copy()
-        try:
-            attitudes = self._through_cuts(samples, spans)
-        except BaseException:
-            self.__dict__.update(kept)
-            raise
+            self._check_open()
+            n_logs = len(self._last)
+            accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
+            numbers = checks.array("rates", rates, accepted)
+            precision = self._precision or checks.precision(None, rates)
+            samples = numbers.astype(precision).reshape(n_logs, -1, 3)
+            # the very first rate ends no interval
+            extra = not (self._kept or self._increments)
+            spans = self._intervals(dt, samples.shape[1] - extra, precision)
+            before = self.__dict__.copy()
+            try:
+                attitudes = self._through_cuts(samples, spans, extra)
+            except BaseException:
+                self.__dict__.update(before)
+                raise
         return attitudes[0] if self._one else attitudes
 
     def close(self) -> Array:
@@ -194,9 +192,8 @@ class GyroIntegrator:
             attitudes = self._rest()
         return attitudes[0] if self._one else attitudes
 
-    def _through_cuts(self, data: Array, spans: Any) -> Array:
+    def _through_cuts(self, data: Array, spans: Any, extra: bool) -> Array:
         """The attitudes that are final after further samples; windows begin anew at cuts."""
-        extra = not (self._kept or self._increments)  # the very first rate ends no interval
         window, places = self._method.window, []
         for k, usual in cuts(window.uneven, spans, self._recent):
             if self._warns and spans[k] > GAP * usual:
@@ -230,7 +227,7 @@ class GyroIntegrator:
             if self._dt is None:
                 spans = np.concatenate((kept.spans, spans), dtype=data.dtype)
         samples = Samples(self._method, self._increments, data, spans, lead)
-        window = samples.window
+        window = self._method.window
         count = samples.n_intervals // window.span * window.span
         # samples before the first window are extrapolated from the first ones
         if not self._done and window.history and data.shape[1] < window.samples(self._increments):
@@ -247,9 +244,7 @@ class GyroIntegrator:
         """The attitudes at all samples so far; the windows begin at the last one."""
         attitudes, kept = self._rest(), self._kept
         if self._done and kept:
-            data = kept.data[:, kept.data.shape[1] - (not self._increments) :]
-            spans = kept.spans[:0] if self._dt is None else kept.spans
-            self._kept = kept._replace(data=data, spans=spans, lead=0)
+            self._kept = kept.between(kept.lead, kept.lead)
             self._before, self._done = self._before + self._done, 0
             self._last = normalised(self._last)
             self._q = beginning(self._last, len(self._last), self._last.dtype)
@@ -261,24 +256,21 @@ class GyroIntegrator:
 
     def _intervals(self, dt: ArrayLike | None, count: int, precision: np.dtype[Any]) -> Any:
         """The interval, or ``count`` intervals."""
-        if self._dt is not None:
-            if dt is not None:
-                raise ValueError(
-                    f"dt: found {checks.brief(dt)}; accepted: None, all intervals are {self._dt} s"
-                )
+        is_fixed = self._dt is not None
+        if is_fixed and dt is None:
             return precision.type(self._dt)
-        if dt is None and count:
-            raise ValueError(
-                f"dt: found None; accepted: a number or ({count},), the intervals that end at "
-                "these samples"
-            )
+        if is_fixed or (dt is None and count):
+            accepted = f"a number or ({count},), the intervals that end at these samples"
+            if is_fixed:
+                accepted = f"None, all intervals are {self._dt} s"
+            raise ValueError(f"dt: found {checks.brief(dt)}; accepted: {accepted}")
         if dt is None:
             return np.empty(0, dtype=precision)
         return np.full(count, intervals(dt, count, self._max_gap, precision), dtype=precision)
 
     def _advanced(self, samples: Samples, count: int) -> Array:
         """The next ``count`` attitudes; the samples that later ones need are kept."""
-        lead, window, precision = samples.lead, samples.window, samples.data.dtype
+        lead, precision = samples.lead, samples.data.dtype
         out = np.empty((len(self._last), count + 1, 4), precision)
         out[:, 0] = self._last
         q, phase = self._q.copy(), self._done % CHUNK
@@ -289,7 +281,7 @@ class GyroIntegrator:
         attitudes = out[:, self._kept is not None :]
         self._done += count
         # those of a window, which the end of a log needs
-        needed = min(self._done, window.intervals)
+        needed = min(self._done, self._method.window.intervals)
         kept = samples.between(lead + count - needed, lead + samples.n_intervals)
         self._kept = kept._replace(data=kept.data.copy(), lead=needed)
         self._q, self._last, self._precision = q, out[:, -1].copy(), precision

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -27,9 +25,7 @@ _TELLS = re.compile(
 _WORD = re.compile(r"(?!(nan|inf|nat|none|null|true|false)$)[^\W\d].*", re.IGNORECASE)
 _KINDS = 64  # that one column tells apart at most
 _OFTEN = 0.05  # share of rows at which another text that changes more often tells rows apart
-_MEANT = {
-    "float": "a finite number", "int": "a whole number", "date": "a date", "day": "a time of day",
-}  # fmt: skip
+_MEANT = {"float": "a finite number", "int": "a whole number", "date": "a date"}
 
 
 @dataclass
@@ -43,13 +39,7 @@ class Table:
     places: NDArray[np.int64]  # of the rows
     row: str = "row"  # what a place is called
     rates: tuple[float, ...] = ()  # sample rates in lines before the numbers, Hz
-    n_names: int = 0
     lengths: dict[int, int] = field(default_factory=dict)  # of lines of another length
-
-    @property
-    def n_columns(self) -> int:
-        """The number of columns."""
-        return len(self.arrays)
 
     def read(
         self,
@@ -94,30 +84,29 @@ class Table:
         if place in self.lengths:
             return (
                 f"{self.row} {place}: found {self.lengths[place]} columns; accepted: "
-                f"{self.n_columns}, as in the first row"
+                f"{len(self.arrays)}, as in the first row"
             )
         return (
             f"{self.row} {place}: {self.column(i)[:60]} is {str(cell)!r:.60}; accepted: "
-            f'{_MEANT[how]}, or on_bad_rows="drop" or "split"'
+            f'{_MEANT[how]}, or on_bad_rows="drop"'
         )
-
-    def _tells(self, i: int) -> bool:
-        return _TELLS.fullmatch(names.bare(self.column(i))[0]) is not None
 
     def _refuse_kinds(self, used: set[int], keep: NDArray[np.bool_]) -> None:
         """Refuse rows of several kinds or sensors, with the column that tells them apart.
 
         It is known by its name, or has text that is no time.
         """
-        for i in range(self.n_columns):
-            if i in used or not (self._tells(i) or _WORD.fullmatch(self.first_row[i])):
+        for i in range(len(self.arrays)):
+            name = self.column(i)
+            tells = _TELLS.fullmatch(names.bare(name)[0]) is not None
+            if i in used or not (tells or _WORD.fullmatch(self.first_row[i])):
                 continue
             cells = _texts(self.arrays[i][keep])
             written = cells[cells != ""]
             kinds = sorted(set(written.tolist()))
             often = np.count_nonzero(written[1:] != written[:-1]) > _OFTEN * len(written)
-            if 1 < len(kinds) <= min(_KINDS, len(written) // 2) and (often or self._tells(i)):
-                name = self.column(i)[:60]
+            if 1 < len(kinds) <= min(_KINDS, len(written) // 2) and (often or tells):
+                name = name[:60]
                 raise self.error(
                     f"{name} tells rows of several kinds or sensors apart: {names.listed(kinds)}; "
                     f"accepted: rows=({name!r}, {kinds[0][:60]!r}), for one of them, or rows=(), "
@@ -134,8 +123,7 @@ class Table:
 
     def shown(self) -> str:
         """The columns, for a message."""
-        columns = f"{self.n_columns} columns under {self.n_names} names"
-        return names.listed(self.names) if self.names else columns
+        return names.listed(self.names) or f"{len(self.arrays)} columns without a name each"
 
     def column(self, i: int) -> str:
         """The name of a column, or its number from 1."""
@@ -146,11 +134,11 @@ class Table:
         text = names.printable(column)
         if self.names.count(text) == 1:
             return self.names.index(text)
-        if text.isdecimal() and len(text) < 9 and 1 <= int(text) <= self.n_columns:
+        if text.isdecimal() and len(text) < 9 and 1 <= int(text) <= len(self.arrays):
             return int(text) - 1
         raise GyroLogError(
             f"{argument}: found {text[:60]!r}; accepted: {self.shown()}, or a number from 1 to "
-            f"{self.n_columns}"
+            f"{len(self.arrays)}"
         )
 
     def chosen(self, columns: Sequence[str], n: int, argument: str) -> list[int]:
@@ -171,9 +159,8 @@ def in_memory(source: Any) -> Table:
     for key, found in _columns(source):
         label = ".".join(map(str, key)) if isinstance(key, tuple) else str(key)
         array = _array(found)
-        if array.ndim == 2 and array.shape[1] in (3, 4):  # axes along the second dimension
-            axes = "xyz" if array.shape[1] == 3 else "wxyz"
-            columns |= {f"{label}.{a}": x for a, x in zip(axes, array.T, strict=True)}
+        if array.ndim == 2 and array.shape[1] == 3:  # axes along the second dimension
+            columns |= {f"{label}.{a}": x for a, x in zip("xyz", array.T, strict=True)}
         elif array.ndim == 1:
             columns[label] = array
     lengths = {len(x) for x in columns.values()}
@@ -209,16 +196,11 @@ def _columns(source: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _array(found: Any) -> NDArray[Any]:
-    """An array without masks and time zones: masked values become NaN, times are in UTC."""
+    """An array without a mask: masked values become NaN."""
     array = np.asarray(found)
     if np.ma.is_masked(found) and array.dtype.kind in "fiumM":
         array = array.astype(np.float64) if array.dtype.kind in "iu" else array.copy()
         array[np.ma.getmaskarray(found)] = "NaT" if array.dtype.kind in "mM" else np.nan
-    if array.dtype.kind == "O" and array.size and isinstance(array.flat[0], (datetime, timedelta)):
-        kind = "datetime" if isinstance(array.flat[0], datetime) else "timedelta"
-        with warnings.catch_warnings():  # NumPy warns that zones are dropped
-            warnings.simplefilter("ignore", UserWarning)
-            return np.asarray(found, dtype=f"{kind}64[ns]")
     return array
 
 

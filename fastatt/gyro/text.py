@@ -30,54 +30,52 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _COMMENTS = ("#", "//", "%")
-_COMMENT = re.compile(rb" *(#|//|%)[^\n]*")
-_BLANKS = re.compile(rb"[ \t]+")
+_COMMENT = re.compile(r" *(#|//|%)[^\n]*")
 
 
 def from_text(source: Any) -> Table:
     """The table of a text: its first lines, then its rows."""
-    name, content = _content(source)
-    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff") or content[:8].count(b"\0") > 2:
-        raise GyroLogError(f"{name}: found UTF-16 text; accepted: text in UTF-8")
-    head: list[tuple[int, str]] = []
+    name, text = _content(source)
+    head: list[str] = []
     comments: list[str] = []
     rates: list[float] = []
-    start = 0
-    for number, line in enumerate(content.split(b"\n", _HEAD)[:_HEAD], start=1):
-        text = _plain(line)
-        if match := _RATE.match(text.lstrip("#/% ")):
+    for row in text.split("\n", _HEAD)[:_HEAD]:
+        line, note = row.strip(" "), row.lstrip("#/% ")
+        if match := _RATE.match(note):
             rates.append(float(match["rate"]))
-        if not text.strip() or text.startswith(_COMMENTS):
-            comments.append(text.lstrip("#/% "))
+        if not line.strip() or line.startswith(_COMMENTS):
+            comments.append(note)
         else:
             layout = _layout(line)
-            cells = layout.cells(line)
+            cells = [cell.strip() for cell in layout.clean(line).split(layout.delimiter)]
             if _numbers(cells):
                 break
-            head.append((number, text))
-        start += len(line) + 1
+            head.append(line)
     else:
         raise GyroLogError(
             f"{name}: found no row of numbers; accepted: a table with three rate columns"
         )
-    header = _header(name, head, comments, cells)
-    arrays, places, lengths = _rows(layout, content[start:], number, cells)
+    start = len(head) + len(comments)
+    # names are in the line before the numbers, or else in a comment
+    named = head[-1:] or [c for c in comments if names.triples(_names(c), "gyro")][-1:]
+    header = _names(named[0]) if named else []
+    # the line of names, those of numbers, or both may end with a separator
+    fits = len(header) == len(cells) or (_used(header) == _used(cells) and bool(header))
+    arrays, places, lengths = _rows(layout, text.split("\n", start)[-1], start + 1, cells)
     return Table(
-        name=name, names=header if _fits(header, cells) else [], arrays=arrays, first_row=cells,
-        places=places, row="line", rates=tuple(dict.fromkeys(rates)), n_names=len(header),
-        lengths=lengths,
+        name=name, names=header if fits else [], arrays=arrays, first_row=cells, places=places,
+        row="line", rates=tuple(dict.fromkeys(rates)), lengths=lengths,
     )  # fmt: skip
 
 
 def _rows(
-    layout: _Layout, content: bytes, first: int, cells: list[str]
+    layout: _Layout, text: str, first: int, cells: list[str]
 ) -> tuple[list[NDArray[Any]], NDArray[np.int64], dict[int, int]]:
     """Columns, the lines of rows, and the lengths of those of another length, left empty."""
-    mark, n_columns, n_used = layout.delimiter.encode(), len(cells), _used(cells)
-    rows: dict[int, bytes] = {}
+    mark, n_columns, n_used = layout.delimiter, len(cells), _used(cells)
+    rows: dict[int, str] = {}
     lengths: dict[int, int] = {}
-    for place, line in enumerate(layout.clean(content).split(b"\n"), first):
+    for place, line in enumerate(layout.clean(text).split("\n"), first):
         if not line.strip():
             continue
         rows[place] = line
@@ -85,14 +83,13 @@ def _rows(
             found = line.split(mark)
             if _used([cell.strip() for cell in found]) != n_used:
                 lengths[place], found = len(found), []
-            rows[place] = mark.join([*found, *[b""] * n_columns][:n_columns])
+            rows[place] = mark.join([*found, *[""] * n_columns][:n_columns])
     pandas = stamps.pandas()
     is_exact = tuple(map(int, pandas.__version__.split(".")[:2])) >= (3, 1)
     exact = {} if is_exact else {"float_precision": "round_trip"}  # which is deprecated there
     table = pandas.read_csv(
-        io.BytesIO(b"\n".join(rows.values())), sep=layout.delimiter, header=None,
-        names=range(n_columns), quoting=csv.QUOTE_NONE, na_filter=False, skipinitialspace=True,
-        encoding_errors="replace", low_memory=False, **exact,
+        io.StringIO("\n".join(rows.values())), sep=mark, header=None, names=range(n_columns),
+        quoting=csv.QUOTE_NONE, na_filter=False, skipinitialspace=True, low_memory=False, **exact,
     )  # fmt: skip
     return [table[i].to_numpy() for i in table], np.array([*rows]), lengths
 
@@ -103,32 +100,39 @@ class _Layout(NamedTuple):
     delimiter: str
     decimal: str
 
-    def clean(self, content: bytes) -> bytes:
-        """Lines without quotes and comments, with decimal points and one kind of separator."""
-        content = content.replace(b'"', b"")
-        if b"#" in content or b"%" in content or b"//" in content:
-            content = _COMMENT.sub(b"", content)
+    def clean(self, text: str) -> str:
+        """Lines without comments, with decimal points and one kind of separator."""
+        if "#" in text or "%" in text or "//" in text:
+            text = _COMMENT.sub("", text)
         if self.decimal == ",":
-            content = content.replace(b",", b".")
+            text = text.replace(",", ".")
         if self.delimiter == " ":
-            content = b"\n".join(x.strip(b" \t") for x in _BLANKS.sub(b" ", content).split(b"\n"))
-        return content
-
-    def cells(self, line: bytes) -> list[str]:
-        """The cells of a line."""
-        text = self.clean(line).decode("utf-8", "replace").lstrip("\ufeff")
-        return [cell.strip() for cell in text.split(self.delimiter)]
+            text = "\n".join(" ".join(line.split()) for line in text.split("\n"))
+        return text
 
 
-def _content(source: Any) -> tuple[str, bytes]:
-    """A name and the bytes of a path, of standard input, "-", or of an open file; from gzip too."""
-    name = getattr(source, "name", "the file")
+def _layout(line: str) -> _Layout:
+    row = _COMMENT.sub("", line)
+    decimal = "." if re.search(r"\d\.\d", row) else ","
+    if ";" in row:
+        return _Layout(";", decimal)
+    if "\t" in row and (re.search(r"\d,\d", row) or "," not in row):
+        return _Layout("\t", decimal)
+    return _Layout("," if "," in row else " ", ".")
+
+
+def _content(source: Any) -> tuple[str, str]:
+    """A name and the text of a path, of standard input, "-", or of an open file; from gzip too.
+
+    Quotes are left out.
+    """
+    name = str(getattr(source, "name", "the file"))
     if isinstance(source, str) and source == "-":
         name, source = "standard input", sys.stdin
     if hasattr(source, "read"):
         data = getattr(source, "buffer", source).read()
     elif isinstance(source, (str, PathLike)) and "\0" not in str(source):
-        name, data = source, Path(source).read_bytes()
+        name, data = str(source), Path(source).read_bytes()
     else:
         raise TypeError(
             f'source: found {checks.brief(source)}; accepted: a file\'s name, "-", an open file, a '
@@ -136,35 +140,13 @@ def _content(source: Any) -> tuple[str, bytes]:
         )
     data = data.encode() if isinstance(data, str) else data
     try:
-        return str(name), gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
+        data = gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise GyroLogError(f"{name}: found damaged gzip data ({error}); accepted: whole") from None
-
-
-def _header(
-    name: str, head: list[tuple[int, str]], comments: list[str], cells: list[str]
-) -> list[str]:
-    """Names of columns, from a line, with the units in a line below it, or from a comment."""
-    known = [c for c in comments if names.triples(_names(c), "gyro")]
-    if not head:
-        return _names(known[-1]) if known else []
-    lines = [(number, text, _names(text)) for number, text in head]
-    fitting = [k for k, (_, _, found) in enumerate(lines) if _fits(found, cells)]
-    at = fitting[-1] if fitting else len(lines) - 1
-    header = lines[at][2]
-    above = lines[at - 1][2] if at and at - 1 in fitting else []
-    named = names.triples(header, "gyro") or not above
-    if not named and len(above) == len(header) and all(map(names.is_unit, header)):
-        return [f"{n} [{unit}]" if unit else n for n, unit in zip(above, header, strict=True)]
-    if at + 1 < len(lines) or not named:
-        number, text, _ = lines[min(at + 1, len(lines) - 1)]
-        raise GyroLogError(f"{name} line {number}: found {text[:60]!r}; accepted: numbers")
-    return header
-
-
-def _fits(header: list[str], cells: list[str]) -> bool:
-    # the line of names, those of numbers, or both may end with a separator
-    return len(header) == len(cells) or (_used(header) == _used(cells) and bool(header))
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[:8].count(b"\0") > 2:
+        raise GyroLogError(f"{name}: found UTF-16 text; accepted: text in UTF-8")
+    text = data.decode("utf-8-sig", "replace").replace('"', "")
+    return name, text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _numbers(cells: Iterable[str]) -> bool:
@@ -173,21 +155,6 @@ def _numbers(cells: Iterable[str]) -> bool:
     words = sum(cell.lower() in ("nan", "-nan") for cell in used)
     count = words + sum(not math.isnan(stamps.number(cell)) for cell in used)
     return count >= 3 or 0 < count == len(used)
-
-
-def _plain(line: bytes) -> str:
-    """A line without quotes and byte order mark."""
-    return line.decode("utf-8", "replace").replace('"', "").lstrip("\ufeff").strip("\r\n ")
-
-
-def _layout(line: bytes) -> _Layout:
-    row = _COMMENT.sub(b"", line).decode("utf-8", "replace")
-    for delimiter in (";", "\t"):
-        if delimiter in row and (delimiter == ";" or re.search(r"\d,\d", row) or "," not in row):
-            return _Layout(delimiter, "." if re.search(r"\d\.\d", row) else ",")
-    if "," not in row:
-        return _Layout(" ", ".")
-    return _Layout(",", ".")
 
 
 def _names(text: str) -> list[str]:
@@ -200,6 +167,6 @@ def _names(text: str) -> list[str]:
     return [names.printable(part) for part in parts] if text else []
 
 
-def _used(cells: Sequence[str] | Sequence[bytes]) -> int:
+def _used(cells: Sequence[str]) -> int:
     """The number of columns before empty ones at the end."""
     return max((i for i, cell in enumerate(cells, start=1) if cell), default=0)

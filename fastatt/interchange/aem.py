@@ -19,16 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.arrays import normalised, quat_multiply, quat_rotate, quat_rotate_inverse
+from fastatt.arrays import normalised, quat_rotate, quat_rotate_inverse
 from fastatt.files import writing
 from fastatt.interchange import epochs
 from fastatt.interchange.tables import check_run
 
-_DERIVATIVE = "QUATERNION/DERIVATIVE"
 # numbers in a data line after its time, by version and type; the last type has angular velocities
 _TYPES = {
-    "1.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/RATE": 7},
-    "2.0": {"QUATERNION": 4, _DERIVATIVE: 8, "QUATERNION/ANGVEL": 7},
+    "1.0": {"QUATERNION": 4, "QUATERNION/RATE": 7},
+    "2.0": {"QUATERNION": 4, "QUATERNION/ANGVEL": 7},
 }
 _RATES_ALONG = {"1.0": "RATE_FRAME", "2.0": "ANGVEL_FRAME"}
 # properties that are fixed in version 2.0 and have keywords in 1.0
@@ -60,9 +59,8 @@ _ROUNDED_TIME = 0.0005
 # range of |q| for a file's numbers, which are rounded to a few digits
 _ROUNDED = 0.01
 _MARKS = ("META_START", "META_STOP", "DATA_START", "DATA_STOP")
-#: a line and its number; those of a section, and its comments
-_Numbered = tuple[int, str]
-_Section = tuple[list[_Numbered], tuple[str, ...]]
+#: lines with their numbers
+_Lines = list[tuple[int, str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +80,6 @@ class AemSegment:
         Angular velocities along the spacecraft's frame, rad/s.
     metadata : mapping of str to str
         Values by the keywords of the standard.
-    comments : tuple of str, default ()
-        Comment lines.
     """
 
     epoch: str
@@ -91,7 +87,6 @@ class AemSegment:
     q: NDArray[np.float64]
     w: NDArray[np.float64] | None
     metadata: Mapping[str, str]
-    comments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +101,11 @@ class Aem:
         Values by the keywords of the standard.
     segments : tuple of AemSegment
         The blocks of the message.
-    comments : tuple of str, default ()
-        Comment lines of the header.
     """
 
     version: str
     header: Mapping[str, str]
     segments: tuple[AemSegment, ...]
-    comments: tuple[str, ...] = ()
 
     def text(self) -> str:
         """Return the message as text.
@@ -136,7 +128,7 @@ class Aem:
             raise ValueError(
                 f"segments: found {checks.brief(segments)}; accepted: one AemSegment or several"
             )
-        lines = [f"CCSDS_AEM_VERS = {self.version}", *_comments(self.comments)]
+        lines = [f"CCSDS_AEM_VERS = {self.version}"]
         lines += _assignments(_keywords("header", self.header, _HEADER))
         for k, segment in enumerate(segments):
             lines += ["", *_block(segment, self.version, f"segments[{k}]")]
@@ -163,7 +155,7 @@ class Aem:
 def read_aem(path: str | Path) -> Aem:
     """Read an attitude ephemeris message, version 1.0 or 2.0.
 
-    Accepted types are QUATERNION, QUATERNION/DERIVATIVE and QUATERNION/RATE or QUATERNION/ANGVEL.
+    Accepted types are QUATERNION and, with rates, QUATERNION/RATE or QUATERNION/ANGVEL.
     The ``epoch`` of a segment is the time tag of its first line. ATTITUDE_DIR and QUATERNION_TYPE
     are taken into account in version 2.0 too, where the standard fixes them.
 
@@ -211,9 +203,9 @@ def read_aem(path: str | Path) -> Aem:
         if key != "CCSDS_AEM_VERS" or version not in _TYPES:
             raise ValueError(f"found {key} = {version}; accepted: CCSDS_AEM_VERS = 1.0 or 2.0")
     sections = _sections(lines)
-    about, comments = next(sections)
+    header = _values(next(sections))
     segments = tuple(_segment(*block, version) for block in zip(sections, sections, strict=True))
-    return Aem(version, _values(about), segments, comments)
+    return Aem(version, header, segments)
 
 
 @contextmanager
@@ -225,22 +217,19 @@ def _prefixed(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {error}") from None
 
 
-def _sections(lines: list[_Numbered]) -> Iterator[_Section]:
-    """Of the header, then of each block's metadata and its data: the lines, and the comments."""
+def _sections(lines: _Lines) -> Iterator[_Lines]:
+    """The lines of the header, then of each block's metadata and its data, without comments."""
     marks = cycle(_MARKS)
     mark, inside = next(marks), True
-    section: list[_Numbered] = []
-    comments: list[str] = []
+    section: _Lines = []
     for k, line in lines[1:]:
         if line == mark:
             if inside:
-                yield section, tuple(comments)
-            section, comments, inside, mark = [], [], mark.endswith("START"), next(marks)
+                yield section
+            section, inside, mark = [], mark.endswith("START"), next(marks)
         elif not inside or line in _MARKS:
             raise ValueError(f"line {k}: found {line}; accepted: {mark}")
-        elif line.startswith("COMMENT"):
-            comments.append(line[7:].strip())
-        else:
+        elif not line.startswith("COMMENT"):
             section.append((k, line))
     if inside or mark != _MARKS[0]:
         raise ValueError(f"line {lines[-1][0]}: the message ends before a block does")
@@ -254,7 +243,7 @@ def _assignment(line: str) -> tuple[str, str]:
     return key, value
 
 
-def _values(section: list[_Numbered]) -> dict[str, str]:
+def _values(section: _Lines) -> dict[str, str]:
     """Values by keyword."""
     values: dict[str, str] = {}
     for k, line in section:
@@ -266,14 +255,14 @@ def _values(section: list[_Numbered]) -> dict[str, str]:
     return values
 
 
-def _segment(about: _Section, data: _Section, version: str) -> AemSegment:
-    metadata = _values(about[0])
-    with _prefixed(f"metadata up to line {about[0][-1][0] if about[0] else 0}"):
+def _segment(about: _Lines, data: _Lines, version: str) -> AemSegment:
+    metadata = _values(about)
+    with _prefixed(f"metadata up to line {about[-1][0] if about else 0}"):
         layout = _Layout(metadata, version)
-        if not data[0]:
+        if not data:
             raise ValueError("found no data line; accepted: one or more")
     tags, rows = [], []
-    for k, line in data[0]:
+    for k, line in data:
         tag, *numbers = line.split()
         try:
             row = np.array(numbers, dtype=np.float64)
@@ -287,10 +276,10 @@ def _segment(about: _Section, data: _Section, version: str) -> AemSegment:
             )
         tags.append(tag)
         rows.append(row)
-    with _prefixed(f"data up to line {data[0][-1][0]}"):
+    with _prefixed(f"data up to line {data[-1][0]}"):
         t = _checked_times(tags, metadata)
     q, w = layout.read(np.array(rows))
-    return AemSegment(tags[0], t, q, w, metadata, about[1] + data[1])
+    return AemSegment(tags[0], t, q, w, metadata)
 
 
 def _checked_times(tags: list[str], metadata: Mapping[str, str]) -> NDArray[np.float64]:
@@ -323,7 +312,7 @@ def _block(segment: AemSegment, version: str, name: str) -> Iterator[str]:
     with _prefixed(f"{name}.t"):
         _checked_times(tags, metadata)
     yield "META_START"
-    yield from _comments(segment.comments)
+    yield f"COMMENT {layout}"
     yield from _assignments(metadata)
     yield from ("META_STOP", "", "DATA_START")
     with np.errstate(over="ignore"):
@@ -353,6 +342,7 @@ class _Layout:
         self.count = _TYPES[version][self.kind]
         order = checks.choice("QUATERNION_TYPE", said.get("QUATERNION_TYPE"), ("FIRST", "LAST"))
         direction = checks.choice("ATTITUDE_DIR", said.get("ATTITUDE_DIR"), ("A2B", "B2A"))
+        self.order, self.direction = order, direction
         a, b = said["REF_FRAME_A"], said["REF_FRAME_B"]
         swapped = a.startswith(_CARRIED) and not b.startswith(_CARRIED)
         self.turn = -1 if order == "LAST" else 0
@@ -364,42 +354,33 @@ class _Layout:
             if direction == "B2A" or "EULER_ROT_SEQ" in metadata:
                 raise ValueError(
                     f"{self.kind} with ATTITUDE_DIR B2A or EULER_ROT_SEQ can be read in two ways; "
-                    f"accepted: A2B without it, or {_DERIVATIVE}"
+                    "accepted: A2B without it, or QUATERNION"
                 )
             key, frames = _RATES_ALONG[version], ("REF_FRAME_A", "REF_FRAME_B", a, b)
             along = checks.choice(key, said.get(key), frames)
             self.in_body = along in (("REF_FRAME_A", a) if swapped else ("REF_FRAME_B", b))
 
+    def __str__(self) -> str:
+        return (
+            f"quaternions: scalar {self.order.lower()}, {self.direction} of REF_FRAME_A and "
+            "REF_FRAME_B"
+        )
+
     def read(self, rows: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """(q, w) from the numbers of data lines."""
-        q = self._turned(rows[:, :4])
+        q = np.roll(rows[:, :4], -self.turn, axis=1) * self.signs
         if self.count == 4:
             return q, None
-        if self.kind == _DERIVATIVE:
-            # w = 2 q*∘q̇, of unit q
-            rate = 2.0 * quat_multiply(q * [1, -1, -1, -1], self._turned(rows[:, 4:]))[:, 1:]
-            return q, rate / (q * q).sum(axis=1, keepdims=True)
         w = self.sign * np.radians(rows[:, 4:])
         return q, w if self.in_body else quat_rotate_inverse(normalised(q), w)
 
-    def _turned(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Quaternions, scalar first, from the spacecraft's frame to the other one."""
-        return np.roll(numbers, -self.turn, axis=1) * self.signs
-
     def written(self, q: NDArray[Any], w: NDArray[Any] | None) -> NDArray[np.float64]:
         """The numbers of data lines from (q, w)."""
-        parts = [q]
-        if w is not None and self.kind == _DERIVATIVE:
-            parts.append(0.5 * quat_multiply(q, np.insert(w, 0, 0.0, axis=1)))
-        parts = [np.roll(p * self.signs, self.turn, axis=1) for p in parts]
-        if w is not None and self.kind != _DERIVATIVE:
-            along = w if self.in_body else quat_rotate(normalised(q), w)
-            parts.append(self.sign * np.degrees(along))
-        return np.concatenate(parts, axis=1)
-
-
-def _comments(comments: tuple[str, ...]) -> list[str]:
-    return [f"COMMENT {_one_line('comments', x)}" for x in comments]
+        numbers = np.roll(q * self.signs, self.turn, axis=1)
+        if w is None:
+            return numbers
+        along = w if self.in_body else quat_rotate(normalised(q), w)
+        return np.concatenate([numbers, self.sign * np.degrees(along)], axis=1)
 
 
 def _one_line(name: str, value: Any) -> str:
@@ -430,7 +411,7 @@ def _number(x: float) -> str:
     return text if "." in mantissa or not e else f"{mantissa}.0e{power}"
 
 
-def aem_of(
+def to_aem(
     run: Any,
     *,
     epoch: str | datetime,
@@ -473,6 +454,4 @@ def aem_of(
     begin, t = epochs.of_run(epoch, run.t, said["TIME_SYSTEM"])
     first = {"CREATION_DATE": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")}
     first |= {"ORIGINATOR": "FASTATT", **_keywords("header", header or {}, _HEADER)}
-    direction, order = ({**_FIXED, **said}[key] for key in _FIXED)
-    comment = f"quaternions: scalar {order.lower()}, {direction} of REF_FRAME_A and REF_FRAME_B"
-    return Aem(version, first, (AemSegment(begin, t, q, w, said, (comment,)),))
+    return Aem(version, first, (AemSegment(begin, t, q, w, said),))

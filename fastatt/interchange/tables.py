@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,8 @@ from fastatt import checks, files
 if TYPE_CHECKING:
     from fastatt.propagation.trajectory import Trajectory
 
-# rows that are converted to text at a time, and rows that a notebook shows
+# rows that are converted to text at a time
 _ROWS = 1 << 16
-_SHOWN = 5
 
 
 def check_run(run: Any) -> None:
@@ -105,13 +103,3 @@ def dataframe(run: Trajectory) -> Any:
     """
     pandas = checks.optional("to_dataframe", "pandas", "fastatt[logs]")
     return pandas.DataFrame({name: x.ravel() for name, x in columns(run).items()})
-
-
-def table(run: Trajectory) -> str:
-    """The summary of a run as HTML, with the last save of its first bodies."""
-    last = {name: x[-1:].ravel()[:_SHOWN] for name, x in columns(run).items()}
-    heads = "".join(f"<th>{name}</th>" for name in last)
-    rows = ("".join(f"<td>{x:.6g}</td>" for x in row) for row in zip(*last.values(), strict=True))
-    body = "".join(f"<tr>{row}</tr>" for row in rows)
-    said = html.escape(run.summary()).replace("\n", "<br>")
-    return f"<p>{said}</p><table><tr>{heads}</tr>{body}</table>"

@@ -42,68 +42,11 @@ def mixed_sum(above, below):
 
 
 @kernel
-def coefficients2(inertia):
-    """Coefficients of the second power of the step, order 4: s (C, H), then d."""
-    F = type(inertia[0])
-    D = inertia[0] * inertia[1] * inertia[2]
-    S1 = power_sum(inertia)
-    X1 = F(1.0) / inertia[0] + F(1.0) / inertia[1] + F(1.0) / inertia[2]
-    return S1 / (F(6.0) * D), -X1 / F(3.0), F(-1.0) / (F(3.0) * D), S1 / (F(6.0) * D)
+def coefficients(inertia):
+    """Coefficients of s and d by powers of the step, the second first.
 
-
-@kernel
-def coefficients4(inertia):
-    """Coefficients of the fourth power, order 6: s (C², CH, H²), then d."""
-    F = type(inertia[0])
-    D = inertia[0] * inertia[1] * inertia[2]
-    inverse = (F(1.0) / inertia[0], F(1.0) / inertia[1], F(1.0) / inertia[2])
-    S1 = power_sum(inertia)
-    S2 = power_sum(squared(inertia))
-    X1 = power_sum(inverse)
-    X2 = power_sum(squared(inverse))
-    Y11 = mixed_sum(inertia, inverse)
-    return (
-        (S2 / D - X1) / (F(30.0) * D),
-        (F(1.0) - Y11) / (F(30.0) * D),
-        (F(3.0) * S1 / D + F(2.0) * X2) / F(60.0),
-        -S1 / (F(60.0) * D * D),
-        X1 / (F(10.0) * D) - S2 / (F(60.0) * D * D),
-        -(F(9.0) + Y11) / (F(60.0) * D),
-    )
-
-
-@kernel
-def coefficients6(inertia):
-    """Coefficients of the sixth power, order 8: s (C³, C²H, CH², H³), then d."""
-    F = type(inertia[0])
-    D = inertia[0] * inertia[1] * inertia[2]
-    inverse = (F(1.0) / inertia[0], F(1.0) / inertia[1], F(1.0) / inertia[2])
-    two = squared(inertia)
-    minus_two = squared(inverse)
-    S1 = power_sum(inertia)
-    S2 = power_sum(two)
-    S3 = power_sum(product(two, inertia))
-    X1 = power_sum(inverse)
-    X2 = power_sum(minus_two)
-    X3 = power_sum(product(minus_two, inverse))
-    Y11 = mixed_sum(inertia, inverse)
-    Y21 = mixed_sum(two, inverse)
-    Y12 = mixed_sum(inertia, minus_two)
-    return (
-        (F(4.0) * D + F(17.0) * S3 - F(15.0) * D * Y11) / (F(2520.0) * D * D * D),
-        (F(9.0) * S1 + F(10.0) * D * X2 - F(6.0) * Y21) / (F(420.0) * D * D),
-        ((F(6.0) * Y12 - F(100.0) * X1) * D + F(53.0) * S2) / (F(2520.0) * D * D),
-        (F(15.0) - D * X3 - F(2.0) * Y11) / (F(630.0) * D),
-        (F(34.0) * D * X1 - F(19.0) * S2) / (F(2520.0) * D * D * D),
-        (S3 + F(2.0) * D * Y11 - F(85.0) * D) / (F(1260.0) * D * D * D),
-        (F(47.0) * S1 + F(13.0) * Y21 - F(38.0) * D * X2) / (F(2520.0) * D * D),
-        (F(9.0) * D * X1 + D * Y12 - F(11.0) * S2) / (F(1260.0) * D * D),
-    )
-
-
-@kernel
-def coefficients8(inertia):
-    """Coefficients of the eighth power, order 10: s (C⁴, C³H, C²H², CH³, H⁴), then d."""
+    Those of the power 2n multiply Cⁿ, Cⁿ⁻¹H, …, Hⁿ, first in s, then in d.
+    """
     F = type(inertia[0])
     D = inertia[0] * inertia[1] * inertia[2]
     D2 = D * D
@@ -129,6 +72,24 @@ def coefficients8(inertia):
     Y13 = mixed_sum(inertia, minus_three)
     Y22 = mixed_sum(two, minus_two)
     return (
+        S1 / (F(6.0) * D),
+        -X1 / F(3.0),
+        F(-1.0) / (F(3.0) * D),
+        S1 / (F(6.0) * D),
+        (S2 / D - X1) / (F(30.0) * D),
+        (F(1.0) - Y11) / (F(30.0) * D),
+        (F(3.0) * S1 / D + F(2.0) * X2) / F(60.0),
+        -S1 / (F(60.0) * D * D),
+        X1 / (F(10.0) * D) - S2 / (F(60.0) * D * D),
+        -(F(9.0) + Y11) / (F(60.0) * D),
+        (F(4.0) * D + F(17.0) * S3 - F(15.0) * D * Y11) / (F(2520.0) * D * D * D),
+        (F(9.0) * S1 + F(10.0) * D * X2 - F(6.0) * Y21) / (F(420.0) * D * D),
+        ((F(6.0) * Y12 - F(100.0) * X1) * D + F(53.0) * S2) / (F(2520.0) * D * D),
+        (F(15.0) - D * X3 - F(2.0) * Y11) / (F(630.0) * D),
+        (F(34.0) * D * X1 - F(19.0) * S2) / (F(2520.0) * D * D * D),
+        (S3 + F(2.0) * D * Y11 - F(85.0) * D) / (F(1260.0) * D * D * D),
+        (F(47.0) * S1 + F(13.0) * Y21 - F(38.0) * D * X2) / (F(2520.0) * D * D),
+        (F(9.0) * D * X1 + D * Y12 - F(11.0) * S2) / (F(1260.0) * D * D),
         (F(62.0) * S4 - F(94.0) * D * Y21 + F(66.0) * D2 * X2 + F(81.0) * D * S1)
         / (F(45360.0) * D4),
         (F(-77.0) * Y31 + F(75.0) * D * Y12 + F(214.0) * S2 - F(240.0) * D * X1)
@@ -148,39 +109,20 @@ def coefficients8(inertia):
 
 
 @kernel
-def corrections2(C, H, k):
-    """(s, d) of the second power of the step."""
-    return k[0] * C + k[1] * H, k[2] * C + k[3] * H
-
-
-@kernel
-def corrections4(C, H, k):
-    """(s, d) of the fourth power."""
-    return (
-        (k[0] * C + k[1] * H) * C + k[2] * H * H,
-        (k[3] * C + k[4] * H) * C + k[5] * H * H,
-    )
-
-
-@kernel
-def corrections6(C, H, k):
-    """(s, d) of the sixth power."""
-    return (
-        ((k[0] * C + k[1] * H) * C + k[2] * H * H) * C + k[3] * H * H * H,
-        ((k[4] * C + k[5] * H) * C + k[6] * H * H) * C + k[7] * H * H * H,
-    )
-
-
-@kernel
-def corrections8(C, H, k):
-    """(s, d) of the eighth power."""
+def corrections(C, H, k):
+    """(s, d) from their coefficients, added from the smallest on."""
     h2 = H * H
     h3 = h2 * H
     h4 = h2 * h2
-    return (
-        (((k[0] * C + k[1] * H) * C + k[2] * h2) * C + k[3] * h3) * C + k[4] * h4,
-        (((k[5] * C + k[6] * H) * C + k[7] * h2) * C + k[8] * h3) * C + k[9] * h4,
-    )
+    s2 = k[0] * C + k[1] * H
+    d2 = k[2] * C + k[3] * H
+    s4 = (k[4] * C + k[5] * H) * C + k[6] * h2
+    d4 = (k[7] * C + k[8] * H) * C + k[9] * h2
+    s6 = ((k[10] * C + k[11] * H) * C + k[12] * h2) * C + k[13] * h3
+    d6 = ((k[14] * C + k[15] * H) * C + k[16] * h2) * C + k[17] * h3
+    s8 = (((k[18] * C + k[19] * H) * C + k[20] * h2) * C + k[21] * h3) * C + k[22] * h4
+    d8 = (((k[23] * C + k[24] * H) * C + k[25] * h2) * C + k[26] * h3) * C + k[27] * h4
+    return s2 + (s4 + (s6 + s8)), d2 + (d4 + (d6 + d8))
 
 
 @kernel

@@ -15,82 +15,30 @@ from typing import Any
 
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import FREE, Method, Steps
-from fastatt.tracing.formulas import Kernels, Vector, dot, plus, scale
+from fastatt.tracing.formulas import Vector, dot, kernels, scale, vec3
 from fastatt.tracing.graph import Single, choose
 
-mv: Any = Kernels("moser_veselov")
-# number of coefficients of each level, from the second power of the step on
-_SIZES = (4, 6, 8, 10)
+mv = kernels("moser_veselov")
 
 
-def coefficients(level: int, inertia: Vector) -> Vector:
-    """All coefficients of a level, flat: 0 or 28 numbers."""
-    each = (mv.coefficients2, mv.coefficients4, mv.coefficients6, mv.coefficients8)
-    return tuple(k for f in each[:level] for k in f(inertia))
+def prepare(motion: Any, h: Any, x: Vector, *, corrected: bool) -> Vector:
+    """h/(2K) for each axis, (K2 − K3)/K1, cyclic, and (``|m|`` h/I_min)².
 
-
-def corrections(level: int, C: Any, H: Any, k: Vector) -> Vector:
-    """(s, d) of the modified moments from the coefficients k, added from the smallest on."""
-    each = (mv.corrections2, mv.corrections4, mv.corrections6, mv.corrections8)
-    found: Vector = (0.0, 0.0)
-    for n in reversed(range(level)):
-        at = sum(_SIZES[:n])
-        found = plus(each[n](C, H, k[at : at + _SIZES[n]]), found)
-    return found
-
-
-def tolerance(x: Any) -> float:
-    """Square of the change below which Newton's iteration, in the precision of x, has converged."""
-    # after a last change e Newton's iteration has the error e²; 1e-12 is below each level's error
-    return 1e-7 if isinstance(x, Single) else 1e-12
-
-
-def scaled_inertia(motion: Any) -> Any:
-    """Principal moments divided by the largest one, and the largest one."""
-    a, b, c = motion.moments
-    largest = choose(a > b, a, b)
-    largest = choose(c > largest, c, largest)
-    return (a / largest, b / largest, c / largest), largest
-
-
-def modified(level: int, h: Any, m: Vector, scaled: Any, k: Vector) -> Any:
-    """h/(2K) for each axis and (K2 − K3)/K1, cyclic, for a step h at momentum m."""
-    inertia, largest = scaled
+    The last is the variable of the series of the modified moments, for a needle far above ``|w|
+    h``. The rotation angle of the step is not used: near π the modified moments make it small.
+    """
+    m = motion.momentum_of(x)[:3]
+    largest = vec3.largest(motion.moments)
+    inertia = tuple(i / largest for i in motion.moments)
     f = h / largest
     square = mv.squared(scale(f, m))
     C = 0.5 * mv.power_sum(square)
     H = 0.5 * (square[0] / inertia[0] + square[1] / inertia[1] + square[2] / inertia[2])
-    inverse = mv.modified_inverse(inertia, *corrections(level, C, H, k))
-    return scale(0.5 * f, inverse), mv.asymmetry(inverse)
-
-
-def squared_turn(motion: Any, h: Any, m: Vector) -> Any:
-    """(``|m|`` h/I_min)², the variable of the series of the modified moments.
-
-    For a needle it is far above ``|w| h``. The rotation angle of the step is not used: near π the
-    modified moments make it small.
-    """
-    a, b, c = motion.half_inverse
-    most = choose(a > b, a, b)
-    most = choose(c > most, c, most)
-    f = h * (most + most)
-    u = scale(f, m)
-    return dot(u, u)
-
-
-def turned(motion: Any, a: Vector, u: Vector, kappa: Vector, z: Any) -> Any:
-    """The attitude after one step, c and 1/(1 + ``|c|²``); z is infinite if c did not converge."""
-    c, change = mv.solve(u, kappa)
-    r, inverse = mv.rotation(c)
-    z = choose(change < tolerance(u[0]), z, math.inf)
-    return motion.attitude.compose(a, r), c, inverse, z
-
-
-def prepare(level: int, motion: Any, h: Any, x: Vector) -> Vector:
-    m = motion.momentum_of(x)[:3]
-    scaled = scaled_inertia(motion)
-    a, kappa = modified(level, h, m, scaled, coefficients(level, scaled[0]))
-    return (*a, *kappa, squared_turn(motion, h, m))
+    s, d = mv.corrections(C, H, mv.coefficients(inertia)) if corrected else (0.0, 0.0)
+    inverse = mv.modified_inverse(inertia, s, d)
+    most = vec3.largest(motion.half_inverse)
+    turn = scale(h * (most + most), m)
+    return (*scale(0.5 * f, inverse), *mv.asymmetry(inverse), dot(turn, turn))
 
 
 def enter(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
@@ -104,21 +52,24 @@ def leave(motion: Any, t: Any, s: Any, k: Any, x: Vector, e: Vector) -> Vector:
 
 
 def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
-    u = motion.momentum_of(x)
-    kappa = e[3:6]
-    a, c, inverse, z = turned(motion, motion.attitude_of(x), u[:3], kappa, e[6])
+    u, kappa = motion.momentum_of(x), e[3:6]
+    c, change = mv.solve(u[:3], kappa)
+    turn, inverse = mv.rotation(c)
+    a = motion.attitude.compose(motion.attitude_of(x), turn)
     f = 2.0 * inverse
     d = (
         f * kappa[0] * (c[1] * c[2]),
         f * kappa[1] * (c[2] * c[0]),
         f * kappa[2] * (c[0] * c[1]),
     )
+    # after a last change e Newton's iteration has the error e², below that of either order
+    most = 1e-7 if isinstance(u[0], Single) else 1e-12
+    z = choose(change < most, e[6], math.inf)
     return (*a, *motion.attitude.add_vector(u, d)), z
 
 
-def _method(level: int) -> Method:
-    order = 2 * level + 2
-    summary = "no trigonometry; conserves energy and angular momentum"
+def _method(order: int, limit: float, summary: str, *, corrected: bool) -> Method:
+    """A method with moments that are corrected up to an order."""
     return Method(
         name=f"dmv{order}",
         order=order,
@@ -128,15 +79,20 @@ def _method(level: int) -> Method:
         rate_calls=1,
         compensates=True,
         measure="momentum",
-        limits=dict.fromkeys(FAMILIES, 0.7 if order == 2 else 1.0),
+        limits=dict.fromkeys(FAMILIES, limit),
         steps=Steps(
-            stage=stage, prepare=partial(prepare, level), enter=enter, leave=leave, iterates=True
+            stage=stage,
+            prepare=partial(prepare, corrected=corrected),
+            enter=enter,
+            leave=leave,
+            iterates=True,
         ),
         reversible=FREE,
-        symplectic=level == 0,
-        summary=f"{summary}; near machine precision at moderate steps" if order == 10 else summary,
+        symplectic=not corrected,
+        summary=f"no trigonometry; conserves energy and angular momentum{summary}",
         source="Hairer and Vilmart, J. Phys. A 39 (2006) 13225",
     )
 
 
-DMV2, DMV10 = _method(0), _method(4)
+DMV2 = _method(2, 0.7, "", corrected=False)
+DMV10 = _method(10, 1.0, "; near machine precision at moderate steps", corrected=True)

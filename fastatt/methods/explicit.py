@@ -32,44 +32,26 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
     z is that of the fastest stage. ``first_turn`` uses the rotation of the body at the start of the
     step in place of that of the last stage.
     """
-    s = len(tableau.b)
-    # the stage after which each slope of the sum is no longer needed
-    rows = (*tableau.rows, ())
-    last = [max((i for i in range(j + 1, s) if rows[i][j]), default=s) for j in range(s)]
-    done = [[j for j in range(s) if last[j] == i and tableau.b[j]] for i in range(s + 1)]
-    # weights are divided by the first one, to save a product, or by the largest if that is small
-    k = next(tableau.b[j] for part in done for j in part)
-    k = k if abs(k) > 0.1 * max(map(abs, tableau.b)) else max(tableau.b, key=abs)
 
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
         start = motion.base(x)
         instants: dict[float, Any] = {}
         slopes: list[Vector] = []
-        d: Vector | None = None
         y = start
-        for i, (c, row) in enumerate(zip(tableau.c, tableau.rows, strict=True)):
+        for c, row in zip(tableau.c, tableau.rows, strict=True):
             if any(row):
                 factor, sum_ = weighted(row, slopes)
                 y = axpy(h * factor, sum_, start)
-            # a slope that no later stage needs is added now, to keep fewer values in registers
-            for j in done[i]:
-                d = _added(tableau.b[j] / k, slopes[j], d)
             if c not in instants:
                 instants[c] = motion.at(t + c * h)
             slopes.append(motion.field(instants[c], y))
-        for j in done[len(tableau.b)]:
-            d = _added(tableau.b[j] / k, slopes[j], d)
-        assert d is not None
         # coordinates may be nearer to their pole at a stage than at the start of the step
         most = largest(slopes) if motion.attitude.has_poles else slopes[0]
         z = h * h * motion.turning(instants[tableau.c[0]], most, start if first_turn else y)
-        return motion.advanced(x, scale(h * k, d)), z
+        factor, sum_ = weighted(tableau.b, slopes)
+        return motion.advanced(x, scale(h * factor, sum_)), z
 
     return step
-
-
-def _added(weight: float, slope: Vector, total: Vector | None) -> Vector:
-    return scale(weight, slope) if total is None else axpy(weight, slope, total)
 
 
 def explicit_method(

@@ -12,7 +12,7 @@ from functools import reduce
 from typing import Any
 
 from fastatt.attitudes.attitude import FAMILIES
-from fastatt.methods.lie_group import gauss_polynomial
+from fastatt.methods.lie_group import asking, gauss_polynomial
 from fastatt.methods.method import Method, Steps
 from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
 from fastatt.tracing.functions import larger
@@ -22,15 +22,10 @@ _NODES = 6
 _TERMS = 2 * _NODES - 1
 
 
-def rate(motion: Any, t: Any, h: Any, x: Vector) -> Any:
-    asked: list[Vector] = []
-
-    def asking(at: Any) -> Vector:
-        asked.append(motion.rate(at))
-        return asked[-1]
-
+def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+    rate, asked = asking(motion)
     # of half the rate, in powers of the distance from the middle over half the step
-    powers = gauss_polynomial(asking, t, h, _NODES)
+    powers = gauss_polynomial(rate, t, h, _NODES)
     halves = [scale(0.5 ** (j + 2), a) for j, a in enumerate(powers)]
     terms: list[Vector] = [(1.0, 0.0, 0.0, 0.0)]
     for k in range(_TERMS):
@@ -51,7 +46,7 @@ METHOD = Method(
     uses=("compose",),
     rate_calls=_NODES,
     limits=dict.fromkeys(FAMILIES, 3.0),
-    steps=Steps(rate=rate),
+    steps=Steps(rate=step),
     reversible=("rate",),
     summary="collocation at six Gauss nodes by a power series; errors below 1e-9, reversible",
     source="Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), §II.1.2",

@@ -16,7 +16,7 @@ from typing import Any
 
 from fastatt.methods.method import BODIES, Method, Steps
 from fastatt.scene.equations import Body
-from fastatt.tracing.formulas import Vector, axpy, largest, minus, onto, plus, product, rigid, scale
+from fastatt.tracing.formulas import Vector, axpy, largest, minus, plus, product, rigid, scale
 from fastatt.tracing.graph import choose
 
 #: substeps of each column: few, and far enough apart for small weights, which multiply rounding
@@ -71,10 +71,10 @@ def _angles(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -
         y = plus(base, now)
         a, v = y[:size], y[size:]
         slope = (*motion.plain.half_derivative(a, v), *rigid.gyroscopic(v, coupling))
-        after = onto(before, slope)
+        after = plus(before, slope)
         if not motion.is_free:
             torque = motion.torque(t + (k / n) * h, a, scale(n * frequency, v))
-            after = (*after[:size], *onto(after[size:], torque, push))
+            after = (*after[:size], *plus(after[size:], product(push, torque)))
         if motion.attitude.has_poles:
             slopes.append(scale(0.5 * n * frequency, slope))
         before, now = now, after

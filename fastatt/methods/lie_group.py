@@ -71,17 +71,22 @@ def turn_of_sum(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
     return reduce(larger, [*turns, h * h * dot(rates[0], rates[0])])
 
 
+def asking(motion: Any) -> tuple[Callable[[Any], Vector], list[Vector]]:
+    """The rate as a function of the time, and a list of the rates that it has returned."""
+    asked: list[Vector] = []
+
+    def rate(at: Any) -> Vector:
+        asked.append(motion.rate(at))
+        return asked[-1]
+
+    return rate, asked
+
+
 def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callable[..., Any]:
     """The step of ``exponents(w, t, h) -> (u1, u2, …)``, with the rate w(t)."""
 
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
-        asked: list[Vector] = []
-
-        def rate(at: Any) -> Vector:
-            w: Vector = motion.rate(at)
-            asked.append(w)
-            return w
-
+        rate, asked = asking(motion)
         turned = [tuple(u) for u in exponents(rate, t, h)]
         for u in turned:
             x = motion.turned(x, u)

@@ -102,8 +102,8 @@ class Method:
         h`` √(``|1/I1 − 1/I2|`` ``|1/I3 − 1/I2|``) with the intermediate moment I2, and under a
         torque also ``|w| h``.
     damping_limit : float
-        Largest c h/I of linear damping, with a relative error of at most 0.1 of its factor, for
-        splitting methods an error of the angle of at most 0.1 ``|w| h``.
+        Largest c h/I of linear damping, to 0.2: the error of the factor exp(−c h/I) is at most 0.1,
+        for splitting methods that of the angle 0.1 ``|w| h``.
     compensates : bool
         Whether ``compensated=True`` is accepted.
     couples : bool

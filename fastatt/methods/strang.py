@@ -97,38 +97,21 @@ def stage(
     return (*a, *motion.kick(t, k, a, m)), squared_angle(motion, e, m, share)
 
 
-def _steps(limit: float, torqued_limit: float) -> Steps:
-    return Steps(
-        stage=partial(stage, share=(torqued_limit / limit) ** 2),
-        prepare=prepare,
-        enter=lambda motion, t, s, k, x, e: ahead(motion, t, s, k, x),
-        leave=lambda motion, t, s, k, x, e: ahead(motion, t, s, -k, x),
-    )
+def composition(outer: tuple[float, ...]) -> tuple[tuple[float, float, float], ...]:
+    """Stages of a palindromic composition, from the steps before the middle one.
 
-
-def stages(
-    kicks: tuple[float, ...], drifts: tuple[float, ...]
-) -> tuple[tuple[float, float, float], ...]:
-    """Free motion and the kick after it; a step's first kick joins the last one before."""
-    after = (*kicks[1:-1], 2.0 * kicks[0])
-    return tuple(zip(drifts, after, accumulate(drifts), strict=True))
-
-
-def composition(half: tuple[float, ...]) -> tuple[tuple[float, float, float], ...]:
-    """Stages of a palindromic composition, from the first half of its steps with the middle one."""
-    steps = (*half, *half[-2::-1])
-    around = pairwise((0.0, *steps, 0.0))
-    return stages(tuple(0.5 * (before + after) for before, after in around), steps)
-
-
-def _centre(outer: tuple[float, ...]) -> tuple[float, ...]:
-    return (*outer, 1.0 - 2.0 * math.fsum(outer))
+    A stage is free motion and the kick after it; a step's first kick joins the last one before.
+    """
+    middle = 1.0 - 2.0 * math.fsum(outer)
+    steps = (*outer, middle, *reversed(outer))
+    kicks = [0.5 * (before + after) for before, after in pairwise((0.0, *steps, 0.0))]
+    return tuple(zip(steps, (*kicks[1:-1], 2.0 * kicks[0]), accumulate(steps), strict=True))
 
 
 def _method(
     name: str,
     order: int,
-    half: tuple[float, ...],
+    outer: tuple[float, ...],
     limits: tuple[float, float, float],
     summary: str,
     source: str,
@@ -140,7 +123,7 @@ def _method(
         scenes=BODIES,
         uses=("rotate", "rotate_first", "rotate_third"),
         conserves=("norm", "momentum"),
-        rate_calls=2 * len(half) - 1,
+        rate_calls=2 * len(outer) + 1,
         measure="asymmetry",
         limits=dict.fromkeys(FAMILIES, limit) | {TORQUED: torqued_limit},
         # strang2 rotates the body with the rate in the middle, which is wrong under strong damping;
@@ -148,10 +131,15 @@ def _method(
         damping_limit=damping_limit,
         summary=summary,
         source=source,
-        stages=composition(half),
+        stages=composition(outer),
         sorted_axes=True,
         takes=Dependence.DAMPED,
-        steps=_steps(limit, torqued_limit),
+        steps=Steps(
+            stage=partial(stage, share=(torqued_limit / limit) ** 2),
+            prepare=prepare,
+            enter=lambda motion, t, s, k, x, e: ahead(motion, t, s, k, x),
+            leave=lambda motion, t, s, k, x, e: ahead(motion, t, s, -k, x),
+        ),
         reversible=BODIES,
         symplectic=True,
     )
@@ -160,7 +148,7 @@ def _method(
 STRANG2 = _method(
     "strang2",
     2,
-    (1.0,),
+    (),
     (0.5, 1.0, 3.3),
     "two rotations per step; for large ensembles; exact for free symmetric bodies",
     "McLachlan, SIAM J. Sci. Comput. 16 (1995) 151; Touma and Wisdom, Astron. J. 107 (1994) 1189",
@@ -170,11 +158,9 @@ STRANG2 = _method(
 KAHAN_LI8 = _method(
     "kahan_li8",
     8,
-    _centre(
-        (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641,
-         0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
-         0.25837438768632204729, 0.29501172360931029887)
-    ),
+    (0.13020248308889008088, 0.56116298177510838456, -0.38947496264484728641,
+     0.15884190655515560090, -0.39590389413323757734, 0.18453964097831570709,
+     0.25837438768632204729, 0.29501172360931029887),
     (0.5, 7.3, 11.0),
     "seventeen strang2 steps: order 8, needles and long runs",
     "Kahan and Li, Math. Comp. 66 (1997) 1089",

@@ -76,8 +76,7 @@ class Window:
     the oldest first. They are plain functions that are called with numbers, with traced ones and
     from jitted code. A method that iterates has an ``iteration`` instead. ``uneven`` is the largest
     ratio, to either side, of an interval to the usual one that its polynomial is used for.
-
-    Raises ``ValueError`` for a shape that does not fit into the engine's chunks.
+    ``span`` divides ``CHUNK``, and ``history`` is at most ``MOST_HISTORY``.
     """
 
     history: int
@@ -86,12 +85,6 @@ class Window:
     increments: Callable[..., Any] | None = None
     iteration: Iteration | None = None
     uneven: float = 3.0
-
-    def __post_init__(self) -> None:
-        if self.span < 1 or CHUNK % self.span:
-            raise ValueError(f"span: found {self.span}; accepted: a divisor of {CHUNK}")
-        if not 0 <= self.history <= MOST_HISTORY:
-            raise ValueError(f"history: found {self.history}; accepted: 0 to {MOST_HISTORY}")
 
     @property
     def near(self) -> float:

@@ -12,7 +12,6 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from fastatt import checks
 from fastatt.arrays import angle_between, quat_rotate
 from fastatt.plots.drawing import COLOURS, check_run, curve_on, save, sphere_on
 from fastatt.propagation.drift import drift
@@ -22,8 +21,7 @@ from fastatt.scene.scene import Scene, as_scene
 
 # saves of an ensemble that are drawn
 _SAVES = 500
-# bodies whose curves are drawn at most, and by default
-_CURVES, _CHOSEN = 8, 4
+_CURVES = 4  # bodies whose polhodes are drawn
 _STYLES = ("-", "--", "-.")
 # deg; where angles change by more from save to save the third axis has passed a pole
 _JUMP = 120.0
@@ -84,10 +82,10 @@ def history(run: Trajectory, path: str | Path, scene: Scene | None = None) -> No
     save(figure, path)
 
 
-def polhode(
-    run: Trajectory, scene: Scene, path: str | Path, *, bodies: Sequence[int] | None = None
-) -> None:
-    """Draw the polhode and the herpolhode of bodies.
+def polhode(run: Trajectory, scene: Scene, path: str | Path) -> None:
+    """Draw the polhode and the herpolhode of up to four bodies.
+
+    Of an ensemble they are bodies without a flag, evenly spaced from the first to the last.
 
     The left panel shows the direction of the angular momentum along body axes on the unit sphere,
     faint on the far side. The right panel shows the angular velocity, projected onto the inertial
@@ -102,15 +100,11 @@ def polhode(
         The scene of the run, with inertia.
     path : str or Path
         The file of the picture. Its suffix selects the format (png, pdf, svg).
-    bodies : sequence of int, optional
-        Up to 8 bodies of an ensemble. By default 4 bodies without a flag, evenly spaced from the
-        first to the last.
 
     Raises
     ------
     ValueError
-        If the scene has no inertia, the run has only one save, or a body is out of range or has a
-        flag.
+        If the scene has no inertia, the run has only one save, or all bodies have a flag.
     TypeError
         If ``run`` is not a trajectory.
 
@@ -126,21 +120,10 @@ def polhode(
     if as_scene(scene).inertia is None:
         raise ValueError("scene: found a rate; accepted: a scene with inertia")
     n = run.status.size
-    if bodies is None:
-        fine = np.flatnonzero(run.status == 0)
-        if not fine.size:
-            raise ValueError("run: found flags of all bodies; accepted: a body without one")
-        chosen = fine[np.unique(np.linspace(0, fine.size - 1, min(fine.size, _CHOSEN)).astype(int))]
-    else:
-        chosen = np.array(
-            [checks.whole("bodies", k, 0) for k in checks.several("bodies", bodies, "bodies")],
-            dtype=int,
-        )
-        if not 0 < chosen.size <= _CURVES or chosen.max() >= n:
-            raise ValueError(f"bodies: found {list(bodies)}; accepted: 1 to 8 of 0 to {n - 1}")
-        if run.status[chosen].any():
-            flagged = chosen[run.status[chosen] != 0]
-            raise ValueError(f"bodies: found {flagged[0]}, which is flagged; accepted: others")
+    fine = np.flatnonzero(run.status == 0)
+    if not fine.size:
+        raise ValueError("run: found flags of all bodies; accepted: a body without one")
+    chosen = fine[np.unique(np.linspace(0, fine.size - 1, _CURVES).astype(int))]
     q, w = (x.reshape(len(run.t), n, -1)[:, chosen] for x in (run.q, run.w))
     m = angular_momentum(w, scene[chosen].inertia)  # type: ignore[arg-type]
     space, held = quat_rotate(q, w), quat_rotate(q[0], m[0])

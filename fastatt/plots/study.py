@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,46 +23,43 @@ _TICKS = 8  # the most labels of an axis
 
 @dataclass(frozen=True)
 class Curve:
-    """One method's values; ``leads`` is false where others are better everywhere."""
+    """One method's values; ``leads`` is false where others are better everywhere.
 
+    Panels have a row for each quantity, by its label, and a column for each representation.
+    """
+
+    quantity: str
+    representation: str
     method: str
     x: Sequence[float]
     y: Sequence[float]
     leads: bool = True
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One panel of a picture."""
+def draw(curves: Sequence[Curve], x_label: str, heading: str, path: str | Path) -> None:
+    """Draw curves on logarithmic axes, which the panels of a row share.
 
-    title: str
-    x_label: str
-    curves: list[Curve]
-
-
-def draw(rows: Mapping[str, Sequence[Panel]], heading: str, path: str | Path) -> None:
-    """Draw a row of panels for each quantity, by its label; methods that lead nowhere are pale.
-
-    Axes are logarithmic; the panels of a row share them.
+    Methods that lead nowhere are pale.
     """
-    panels = [panel for row in rows.values() for panel in row]
-    n_columns = len(panels) // len(rows)
-    size = 5.6 * n_columns + 0.6, 4.2 * len(rows) + 1.6
+    quantities = list(dict.fromkeys(curve.quantity for curve in curves)) or [""]
+    names = list(dict.fromkeys(curve.representation for curve in curves)) or [""]
+    size = 5.6 * len(names) + 0.6, 4.2 * len(quantities) + 1.6
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(heading)
-    grid = figure.subplots(len(rows), n_columns, sharex="row", sharey="row", squeeze=False)
-    for axes, panel in zip(grid.ravel(), panels, strict=True):
-        axes.set(xscale="log", yscale="log", title=panel.title, xlabel=panel.x_label)
+    grid = figure.subplots(len(quantities), len(names), sharex="row", sharey="row", squeeze=False)
+    for axes, place in zip(grid.ravel(), product(quantities, names), strict=True):
+        axes.set(xscale="log", yscale="log", title=NAMES.get(place[1], place[1]), xlabel=x_label)
         axes.grid(visible=True, alpha=0.3)
-        styles = styles_of([curve.method for curve in panel.curves])
-        for curve in sorted(panel.curves, key=lambda curve: curve.leads):
+        drawn = [curve for curve in curves if (curve.quantity, curve.representation) == place]
+        styles = styles_of([curve.method for curve in drawn])
+        for curve in sorted(drawn, key=lambda curve: curve.leads):
             pale = {"lw": 0.8, "ms": 3.5, "alpha": 0.45} if not curve.leads else {}
             y = np.maximum(np.asarray(curve.y, dtype=np.float64), _FLOOR)
             every = max(1, len(y) // 8)
             axes.plot(
                 curve.x, y, **styles[curve.method] | pale, markevery=every, label=curve.method
             )
-    for label, row in zip(rows, grid, strict=True):
+    for label, row in zip(quantities, grid, strict=True):
         row[0].set_ylabel(label)
         _limits(row)
     _legend(figure)

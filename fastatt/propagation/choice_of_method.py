@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from fastatt import checks, rounding
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
 from fastatt.engine.events import Event
@@ -46,10 +48,9 @@ def _takes(method: Method, scene: Scene) -> bool:
     if method.is_exact:
         from fastatt.closed_form import form_of
 
-        try:
+        with suppress(ValueError):
             return bool(form_of(scene))
-        except ValueError:
-            return False
+        return False
     if method.takes is Dependence.RATE:
         return True
     return scene.dependence(sorted_axes=method.sorted_axes) <= method.takes
@@ -76,56 +77,48 @@ def method_of(
     Raises ``ValueError`` for a method that does not fit, with those that do, and if none fits.
     """
     attitude_of(representation)  # raises for an unknown name
-    if isinstance(method, Method):
-        if not fits(method, scene, representation):
-            able = ", ".join(methods_for(scene, representation, stepped=stepped))
+
+    def fitting() -> list[str]:
+        # loads all methods
+        return methods_for(scene, representation, stepped=stepped)
+
+    if method is None:
+        able = fitting()
+        if not able:
             raise ValueError(
-                f"method: found {method.name}, for {', '.join(method.scenes)} in "
-                f"{', '.join(method.representations)}; accepted for this scene ({scene.kind}) in "
-                f'"{representation}": {able}'
+                f"representation: found {representation}, for which no method takes this "
+                f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
             )
-        if not method.within and (scene.sampling is not None or corners_of(scene).size):
-            raise ValueError(
-                f"method: found {method.name}, whose steps evaluate times outside of them, for a "
-                "scene with breakpoints or samples; accepted: nodes from 0 to 1"
-            )
-        record = method
-    else:
-        record = METHODS[_named(scene, method, representation, stepped)]
+        return METHODS[next((name for name in DEFAULTS if name in able), able[0])]
+    # users may pass anything, also what has no hash
+    record = METHODS.get(method) if isinstance(method, str) else method
+    if not isinstance(record, Method):
+        able = methods_for(scene, stepped=stepped)
+        elsewhere = str(method).casefold() in _ELSEWHERE
+        reason = " (nearest: rk8)" if elsewhere else checks.nearest(method, able)
+        raise _refused("method", method, able, reason)
+    if not fits(record, scene, representation):
+        if record.is_exact and scene.kind == "torqued":
+            from fastatt.closed_form import form_of
+
+            form_of(scene)  # raises, with the reason
+        if fits(record, scene):
+            raise _refused(f'method for representation "{representation}"', record.name, fitting())
+        able = methods_for(scene, stepped=stepped)
+        raise _refused("method", record.name, able, _reason(record, scene))
+    if not record.within and (scene.sampling is not None or corners_of(scene).size):
+        raise ValueError(
+            f"method: found {record.name}, whose steps evaluate times outside of them, for a "
+            "scene with breakpoints or samples; accepted: nodes from 0 to 1"
+        )
     if stepped and not record.is_stepped:
-        checks.choice(why, record.name, methods_for(scene, representation, stepped=stepped))
+        raise _refused(why, record.name, fitting())
     return record
 
 
-def _named(scene: Scene, method: str | None, representation: str, stepped: bool) -> str:
-    """The given name if its method fits, or the name of the default method."""
-    # users may pass anything, also what has no hash
-    known = METHODS.get(method) if isinstance(method, str) else None
-    if known is not None and fits(known, scene, representation):
-        return known.name
-    if known is not None and known.is_exact and scene.kind == "torqued":
-        from fastatt.closed_form import form_of
-
-        form_of(scene)  # raises, with the reason
-    if method is not None:
-        name, able = "method", methods_for(scene, stepped=stepped)
-        if known is not None and known.name in able:
-            name = f'method for representation "{representation}"'
-            able = methods_for(scene, representation, stepped=stepped)
-        if known is None:
-            elsewhere = str(method).casefold() in _ELSEWHERE
-            reason = " (nearest: rk8)" if elsewhere else checks.nearest(method, able)
-        else:
-            reason = _reason(known, scene)
-        accepted = ", ".join(able)
-        raise ValueError(f"{name}: found {checks.brief(method)}; accepted: {accepted}{reason}")
-    fitting = methods_for(scene, representation, stepped=stepped)
-    if not fitting:
-        raise ValueError(
-            f"representation: found {representation}, for which no method takes this "
-            f"scene ({scene.kind}); accepted: {', '.join(ATTITUDES)}"
-        )
-    return next((name for name in DEFAULTS if name in fitting), fitting[0])
+def _refused(name: str, found: object, accepted: list[str], reason: str = "") -> ValueError:
+    found = checks.brief(found)
+    return ValueError(f"{name}: found {found}; accepted: {', '.join(accepted)}{reason}")
 
 
 def _reason(method: Method, scene: Scene) -> str:
@@ -163,13 +156,6 @@ def chosen(
     Raises ``ValueError`` and ``TypeError`` as ``propagate`` does.
     """
     compensated = checks.flag("compensated", compensated)
-    key = ("choice", method, representation, compensated, normalise)
-    of_names = {type(method), type(representation), type(normalise)} <= {str, type(None)}
-    is_kept = of_names and not events
-    # in one go: another thread may put it out
-    known: Choice | None = scene.memo.get(key) if is_kept else None
-    if known is not None:
-        return known
     attitude = attitude_of(representation)
     refuse_pairs({"compensated": compensated, "representation": attitude is not QUATERNION})
     why = "method with events" if events else "method"
@@ -186,10 +172,7 @@ def chosen(
             able = ", ".join(m.name for m in METHODS.values() if m.compensates)
             raise ValueError(f"compensated: found with method {record.name}; accepted with {able}")
         attitude, projection = COMPENSATED, _PROJECTED if normalise == "output" else projection
-    choice = Choice(record, attitude, projection, normalise == "never", events)
-    if is_kept:
-        scene.memo[key] = choice
-    return choice
+    return Choice(record, attitude, projection, normalise == "never", events)
 
 
 def _projection(normalise: str | int) -> int:

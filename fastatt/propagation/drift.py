@@ -146,12 +146,12 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
     attitude = run.attitude
     of_matrix = attitude.to_dcm_array is not None
     of_quaternion = not of_matrix and attitude.to_quat_array is same
-    measured = {
-        "energy": _energy(run, scene),
-        "momentum": _momentum(run, scene),
-        "momentum_along_field": _along_field(run, scene),
-    }
-    why = _REASONS if scene.inertia is not None else dict.fromkeys(_REASONS, _OF_A_RATE)
+    why, measured = dict.fromkeys(_REASONS, _OF_A_RATE), dict.fromkeys(_REASONS)
+    if scene.inertia is not None:
+        why = _REASONS
+        with np.errstate(over="ignore", invalid="ignore"):
+            measures = (_energy, _momentum, _along_field)
+            measured = {x: f(run, scene) for x, f in zip(_REASONS, measures, strict=True)}
     return Drift(
         norm=norm_error if of_quaternion else length,
         orthogonality=norm_error if of_matrix else matrix,
@@ -162,51 +162,48 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
 
 
 def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
-    if scene.inertia is None or not scene.has_potential:
+    if not scene.has_potential:
         return None
-    kinetic = kinetic_energy(trajectory.w, scene.inertia)
+    kinetic = kinetic_energy(trajectory.w, np.asarray(scene.inertia))
     q = trajectory.q[:, None] if trajectory.one_body else trajectory.q
     r = None
-    with np.errstate(over="ignore", invalid="ignore"):
-        if scene.reads_position:
-            r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
-            v = trajectory.v.astype(np.float64)
-            kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
-        total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
-        return _relative(np.abs(total - total[0]), kinetic)
+    if scene.reads_position:
+        r = np.reshape(trajectory.r, (*q.shape[:-1], 3))
+        v = trajectory.v.astype(np.float64)
+        kinetic = kinetic + 0.5 * np.asarray(scene.mass) * (v * v).sum(axis=-1)
+    total = kinetic + potential_energy(scene, q, trajectory.t, r).reshape(kinetic.shape)
+    return _relative(np.abs(total - total[0]), kinetic)
 
 
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     torque = scene.torque
     wheels = torque.wheel_momentum if isinstance(torque, Torque) else None
     is_driven = isinstance(torque, ReactionWheels)
-    if scene.inertia is None or not (torque is None or wheels or is_driven):
+    if not (torque is None or wheels or is_driven):
         return None
-    inside = angular_momentum(trajectory.w, scene.inertia)
-    with np.errstate(over="ignore", invalid="ignore"):
-        largest = np.linalg.norm(inside, axis=-1)
-        if isinstance(torque, ReactionWheels):
-            inside = inside + torque.momentum(trajectory.s)
-            of_wheel = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
-            largest = np.maximum(largest, of_wheel)
-        elif wheels is not None:
-            of_wheels = _of_wheels(wheels(), trajectory)
-            inside = inside + of_wheels
-            largest = np.maximum(largest, np.linalg.norm(of_wheels, axis=-1))
-        total = quat_rotate(trajectory.q, inside)
-        return _relative(np.linalg.norm(total - total[0], axis=-1), largest)
+    inside = angular_momentum(trajectory.w, np.asarray(scene.inertia))
+    largest = np.linalg.norm(inside, axis=-1)
+    if isinstance(torque, ReactionWheels):
+        inside = inside + torque.momentum(trajectory.s)
+        of_wheel = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
+        largest = np.maximum(largest, of_wheel)
+    elif wheels is not None:
+        of_wheels = _of_wheels(wheels(), trajectory)
+        inside = inside + of_wheels
+        largest = np.maximum(largest, np.linalg.norm(of_wheels, axis=-1))
+    total = quat_rotate(trajectory.q, inside)
+    return _relative(np.linalg.norm(total - total[0], axis=-1), largest)
 
 
 def _along_field(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
     lever = lever_of(scene.torque)
-    if scene.inertia is None or lever is None:
+    if lever is None:
         return None
     field = lever[1]
     strength = np.linalg.norm(field, axis=-1, keepdims=True)
-    total = quat_rotate(trajectory.q, angular_momentum(trajectory.w, scene.inertia))
-    with np.errstate(over="ignore", invalid="ignore"):
-        along = (total * (field / np.where(strength > 0.0, strength, 1.0))).sum(axis=-1)
-        return _relative(np.abs(along - along[0]), np.linalg.norm(total, axis=-1))
+    total = quat_rotate(trajectory.q, angular_momentum(trajectory.w, np.asarray(scene.inertia)))
+    along = (total * (field / np.where(strength > 0.0, strength, 1.0))).sum(axis=-1)
+    return _relative(np.abs(along - along[0]), np.linalg.norm(total, axis=-1))
 
 
 def _of_wheels(momentum: Any, trajectory: Trajectory) -> NDArray[Any]:

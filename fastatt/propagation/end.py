@@ -6,6 +6,7 @@ of rounding is lost, and the invariants are measured from a new start.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import zipfile
@@ -22,8 +23,7 @@ from fastatt.propagation.initial import Initial
 if TYPE_CHECKING:
     from fastatt.propagation.plan import Plan
 
-_FORMAT = 9
-_ARRAYS = ("q", "y", "states", "params")
+_FORMAT = 10
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 #: the rest of a message about a trajectory without its end
@@ -41,26 +41,23 @@ class End:
     #: arguments of the run by name; ``done`` steps, hashes of the operations of a step
     #: (``equations``) and of the events (``watched``), and whether it is ``one_body``'s
     about: dict[str, Any]
-    #: initial attitudes, and the other initial values
-    q: NDArray[Any]
-    y: NDArray[Any]
-    states: NDArray[Any]
-    params: NDArray[np.float64]
-    #: what the run keeps of its events: their last values, found times, states of stopped bodies
-    events: list[NDArray[Any]]
+    #: initial attitudes ``q``, and the other initial values ``y``; ``states``, and ``params``; of a
+    #: run with events also what it keeps of them
+    arrays: dict[str, NDArray[Any]]
 
     @property
     def start(self) -> Initial:
         """The initial values."""
-        return Initial(self.q, self.y, self.about["one_body"])
+        return Initial(self.arrays["q"], self.arrays["y"], self.about["one_body"])
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the end to a file, completely or not at all."""
         header = np.array(json.dumps({"format": _FORMAT, **self.about}))
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        events: dict[str, Any] = {f"events_{i}": x for i, x in enumerate(self.events)}
+        arrays: dict[str, Any] = {"header": header, **self.arrays}
+        whole = io.BytesIO()  # the archive needs a place in the file, which devices have not
+        np.savez(whole, **arrays)
         with writing("path", path) as file:
-            np.savez(file, header=header, **arrays, **events)
+            file.write(whole.getbuffer())
 
 
 def loaded(path: str | os.PathLike[str]) -> End:
@@ -74,8 +71,7 @@ def loaded(path: str | os.PathLike[str]) -> End:
             about = json.loads(str(file["header"]))
             if about.pop("format") != _FORMAT:
                 raise KeyError("format")
-            events = [file[name] for name in sorted(file) if name.startswith("events_")]
-            return End(about, **{name: file[name] for name in _ARRAYS}, events=events)
+            return End(about, {name: file[name] for name in file if name != "header"})
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
         raise ValueError(
             f"run: {str(path)!r} is not the end of a run; accepted: a file that "
@@ -101,12 +97,13 @@ def end_of(run: Any) -> End:
 def check(end: End, plan: Plan) -> None:
     """Refuse to resume with another scene, or with other events where bodies have stopped."""
     is_same = end.about["equations"] == plan.equations
-    if not (is_same and np.array_equal(end.params, plan.packed.params)):
+    if not (is_same and np.array_equal(end.arrays["params"], plan.packed.params)):
         raise ValueError(
             "scene: differs from that of the run that is resumed, or a method of one's own does; "
             "accepted: the same"
         )
-    if end.about["watched"] != plan.watched and not np.isnan(end.events[2]).all():
+    stopped = end.arrays.get("stopped", np.nan)
+    if end.about["watched"] != plan.watched and not np.isnan(stopped).all():
         raise ValueError(
             "events: found others than those of the run that is resumed; accepted: the same, since "
             "bodies stop at terminal ones"

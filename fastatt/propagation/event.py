@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fastatt import checks
 from fastatt.engine.events import Event
-from fastatt.scene.models import Packed, parameters, resources_of
+from fastatt.scene.models import parameters
 from fastatt.scene.scene import Scene
 from fastatt.tracing.user import FORMS, UserFunction
 
@@ -127,11 +127,3 @@ def events_of(
     if not isinstance(listed, (list, tuple)) or not all(isinstance(x, Event) for x in listed):
         raise TypeError(f"events: found {checks.brief(events)}; accepted: a list of fastatt.event")
     return tuple(_frozen(x, scene, position or scene.needs_position) for x in listed)
-
-
-def watching(packed: Packed, events: Sequence[Event]) -> Packed:
-    """The structure and parameters of a scene, with those that its events need."""
-    resources = dict(packed.resources)
-    for event in events:
-        resources |= resources_of(event.function)
-    return packed._replace(resources=resources)

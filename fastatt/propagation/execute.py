@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import rounding
-from fastatt.engine.pool import InterruptedRun
+from fastatt.engine.pool import InterruptedRun, Pool
 from fastatt.engine.run import Results
 from fastatt.engine.status import Status
 from fastatt.propagation import limits
@@ -27,6 +26,8 @@ if TYPE_CHECKING:
 
 #: bodies of an ensemble that are run at a time, so that working memory is a small share
 PART = 1 << 19
+# body-steps; before a longer run the first step of each body is checked
+_LONG = 1_000_000
 # s between two checkpoints
 _WRITTEN = 10.0
 
@@ -140,40 +141,40 @@ def _run(
     batches = [] if deliver is None else clock.batches
     results = plan.results(max((b - a for a, b in batches), default=clock.saves))
     squares = np.zeros(plan.n_bodies, plan.kind)
-    warned = not plan.is_short and plan.warn_of_first(start)
+    warned = plan.n_bodies * clock.n_steps > _LONG and limits.warn(plan, start)
     is_one = deliver is not None or options.checkpoint is not None or resumed is not None
     groups = _groups(plan, plan.n_bodies if is_one else PART)
-    # a short run is over before Ctrl-C could be answered
-    is_alone = len(groups) == options.n_threads == 1 and not is_one
-    is_brief = plan.is_short and is_alone and not (plan.calls or plan.job.events)
-    if not is_brief:  # what a run that is interrupted does not reach
-        results.saves[...], results.status[...] = np.nan, Status.UNFINISHED
-    for rows, h in groups:
+    for k, (rows, h) in enumerate(groups):
         group = results.of_bodies(rows)
         steps = plan.steps(h, t0, resumed, ring=deliver is not None)
         run, left = plan.started(start, t0, group, rows, steps, resumed), batches[::-1]
-        pool = None if is_brief else plan.pool(group.status.size, options.n_threads)
-        pace = pool.pace if pool else partial(int, steps.length)
-        counted, written = 0, perf_counter()
-        for piece in steps.pieces(t0, pace, [end - 1 for _, end in batches[:-1]]):
+        pool = Pool(plan.program, group.status.size, options.n_threads)
+        counted, saved, written = 0, 0, perf_counter()
+        for piece in steps.pieces(t0, pool.pace, [end - 1 for _, end in batches[:-1]]):
             is_last = piece.position == steps.length
             try:
                 run.advance(piece, pool)
             except InterruptedRun as stopped:
                 if deliver is None:
-                    _flag_unfinished(group, stopped.finished if is_last else [], plan.job.width)
+                    group.saves[saved:], group.status[:] = np.nan, Status.UNFINISHED
                     results.put(rows, group)
+                    for others, _ in groups[k + 1 :]:
+                        results.saves[:, others] = np.nan
+                        results.status[others] = Status.UNFINISHED
                     stopped.trajectory = plan.trajectory(times, results, start.one_body)
                 raise
+            saved = piece.saved
             if deliver is None:
                 share = (piece.position - steps.first) / max(1, steps.length - steps.first)
                 taken = round(clock.n_steps * share)
                 done(group.status.size * (taken - counted))
                 counted = taken
-            elif left and piece.saved >= left[-1][1]:
+            elif left and saved >= left[-1][1]:
                 first, last = left.pop()
-                saved = _copied(results, last - first)
-                deliver(plan.trajectory(times[first:last], saved, start.one_body))
+                # flags and times of events change later
+                flags, crossings = results.status.copy(), results.event_times.copy()
+                batch = Results(results.saves[: last - first], flags, crossings)
+                deliver(plan.trajectory(times[first:last], batch, start.one_body))
             is_due = clock.t_end is None if is_last else perf_counter() - written > _WRITTEN
             if options.checkpoint is not None and is_due and piece.whole >= 0:
                 plan.end(start, run, t0, piece.whole).save(options.checkpoint)
@@ -183,8 +184,8 @@ def _run(
     ends_on_step = clock.t_end is None and not clock.is_per_body
     keeps_end = options.keep_end and ends_on_step and plan.n_bodies <= min(MOST, PART)
     end = plan.end(start, run, t0, clock.end) if keeps_end else None
-    if not warned:
-        plan.warn_after(start, np.sqrt(squares), results.status)
+    if clock.n_steps and not warned:
+        limits.warn(plan, start, np.sqrt(squares), results.status)
     if deliver is not None:
         times, final = times[-1:], clock.slots[-1]
         results = results._replace(saves=results.saves[final : final + 1])
@@ -199,16 +200,3 @@ def _groups(plan: Plan, most: int) -> list[tuple[Any, float]]:
     sizes = clock.dt
     each = sorted(np.unique(sizes).tolist(), key=abs)
     return [(np.flatnonzero(sizes == h), h) for h in each]
-
-
-def _copied(results: Results, saves: int) -> Results:
-    """The first saves, whose flags and times of events do not change any more."""
-    return Results(results.saves[:saves], results.status.copy(), results.event_times.copy())
-
-
-def _flag_unfinished(group: Results, finished: list[tuple[int, int]], width: int) -> None:
-    """Flag the bodies that did not reach the end: those of all but some tiles."""
-    reached_end = np.zeros(group.status.size, bool)
-    for first, last in finished:
-        reached_end[first * width : last * width] = True
-    group.status[~reached_end] = Status.UNFINISHED

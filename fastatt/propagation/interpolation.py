@@ -26,21 +26,21 @@ _DOUBT = 0.1
 
 
 @overload
-def interpolate(run: Trajectory, times: ArrayLike, /, *, invalid: str = "raise") -> Trajectory: ...
+def interpolate(run: Trajectory, times: ArrayLike, /) -> Trajectory: ...
 
 
 @overload
-def interpolate(run: Trajectory, /, *, times: ArrayLike, invalid: str = "raise") -> Trajectory: ...
+def interpolate(run: Trajectory, /, *, times: ArrayLike) -> Trajectory: ...
 
 
 @overload
 def interpolate(
-    t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike, *, invalid: str = "raise"
+    t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike
 ) -> tuple[NDArray[Any], NDArray[Any]]: ...
 
 
 def interpolate(
-    t: Any, q: Any = None, w: Any = None, times: Any = None, *, invalid: str = "raise"
+    t: Any, q: Any = None, w: Any = None, times: Any = None
 ) -> Trajectory | tuple[NDArray[Any], NDArray[Any]]:
     """Interpolate a run between its saves: ``interpolate(run, times)``.
 
@@ -57,10 +57,6 @@ def interpolate(
         Angular velocities at the saves along body axes, rad/s.
     times : float or array_like of shape (T,)
         Times of the results, s, in any order and within those of the saves.
-    invalid : {"raise", "flag"}, default "raise"
-        "raise" refuses values that are not finite, zero quaternions, bodies that rotate by more
-        than π between two saves, and bodies that a terminal event has stopped. "flag" returns NaN
-        where they enter, and does not affect other bodies.
 
     Returns
     -------
@@ -76,15 +72,16 @@ def interpolate(
     Raises
     ------
     ValueError
-        If an argument does not fit. With ``invalid="raise"`` also if a body rotates by more than π
-        from one save to the next, since its number of revolutions is unknown then.
+        If an argument does not fit.
     TypeError
         If an argument has the wrong type.
 
     Warns
     -----
     StepWarning
-        If the polynomials through four and through two saves differ by more than 0.1 rad, or those
+        Of bodies that rotate by more than π from one save to the next, whose number of revolutions
+        is unknown, and of those that a terminal event has stopped: their results are NaN. Also if
+        the polynomials through four and through two saves differ by more than 0.1 rad, or those
         through eight and through four saves of a velocity, position or state by more than a tenth
         of its range, since it then changes too fast between the saves.
 
@@ -122,34 +119,22 @@ def interpolate(
     >>> q.shape, w.shape
     ((4,), (3,))
     """
-    flag = checks.choice("invalid", invalid, ("raise", "flag")) == "flag"
     if isinstance(t, Trajectory):
         if w is not None or (q is not None and times is not None):
             raise TypeError("q, w: found with a run; accepted: interpolate(run, times)")
-        return _run_between(t, q if times is None else times, flag=flag)
+        return _run_between(t, q if times is None else times)
     when, asked = _checked_times(t, times)
-    motion = _checked_between(when, q, w, asked.ravel(), flag=flag)
+    motion = _between(when, q, w, asked.ravel())
     q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in motion)
     return q_out, w_out
 
 
-def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory:
+def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     """A run at times between its saves."""
     when, asked = _checked_times(run.t, times)
     asked = np.atleast_1d(asked)
-    stopped = np.zeros(run.status.size, dtype=bool)
-    if run.crossings is not None:
-        np.isfinite(run.crossings[:, list(run.terminal)]).any(axis=1, out=stopped)
-    if stopped.any() and not flag:
-        raise ValueError(
-            f"run: body {stopped.argmax()} was stopped by a terminal event "
-            f"({np.count_nonzero(stopped)} of {stopped.size} bodies); accepted: runs without; "
-            'invalid="flag" leaves them out'
-        )
     many = (when.size, run.status.size)
-    motion = _checked_between(
-        when, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, flag=flag
-    )
+    motion = _between(when, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, lost=True)
     carried = {
         name: _columns_between(name, when, values, asked)
         for name, values in run.carried.items()
@@ -158,8 +143,15 @@ def _run_between(run: Trajectory, times: ArrayLike, *, flag: bool) -> Trajectory
     # a prescribed rate is known at any time, unless the run was pickled
     if run.packed is None or "w" in run.carried:
         carried["w"] = motion[1]
-    for values in (motion[0], *carried.values()):
-        values[:, stopped] = np.nan
+    if run.crossings is not None:
+        stopped = np.isfinite(run.crossings[:, list(run.terminal)]).any(axis=1)
+        for values in (motion[0], *carried.values()):
+            values[:, stopped] = np.nan
+        if stopped.any():
+            rounding.warn(
+                f"run: terminal events stopped {np.count_nonzero(stopped)} of {stopped.size} "
+                f"bodies (body {stopped.argmax()}), whose results are NaN"
+            )
     way = np.sign(when[1] - when[0])
     before = np.searchsorted(way * when, way * asked, side="right") - 1
     return replace(
@@ -216,7 +208,7 @@ def _polynomial(
 ) -> NDArray[Any]:
     """The polynomial through the nearest saves, at most so many, at times within ``t``."""
     n = min(most, t.size)
-    nodes, places, _, _ = _around(t, times, n)
+    nodes, places, _ = _around(t, times, n)
     total = np.zeros((times.size, columns.shape[1]))
     for k in range(n):
         others, itself = np.delete(places, k, axis=1), places[:, k]
@@ -228,8 +220,8 @@ def _polynomial(
 
 def _around(
     t: NDArray[np.float64], times: NDArray[np.float64], n: int
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_], NDArray[np.intp]]:
-    """Indices and times (T, n) of saves around times, which of them exist, and those just before.
+) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
+    """Indices and times (T, n) of saves around times, the two next to them first; which exist.
 
     A polynomial through saves that nearly coincide magnifies noise and rounding. Each save outside
     the interval is therefore at least half of the interval, and a tenth of its distance from the
@@ -252,69 +244,38 @@ def _around(
     under, over = exist[:, : n - 2].sum(axis=1), exist[:, n:].sum(axis=1)
     first = n - 2 - np.minimum(np.maximum((n - 1) // 2, n - 2 - over), under)
     chosen = first[:, None] + np.arange(n)
+    is_other = (chosen != n - 2) & (chosen != n - 1)
+    chosen = np.take_along_axis(chosen, np.argsort(is_other, axis=1, kind="stable"), axis=1)
     exist = np.take_along_axis(exist, chosen, axis=1)
     nodes = np.where(exist, np.take_along_axis(every, chosen, axis=1), left[:, None])
-    return nodes, np.where(exist, t[nodes], _NOWHERE * (1.0 + np.arange(n))), exist, left
-
-
-def _checked_between(
-    t: NDArray[np.float64], q: ArrayLike, w: ArrayLike, times: NDArray[np.float64], *, flag: bool
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Attitudes (T, 4) or (T, N, 4), and angular velocities in the same shape, at times (T,)."""
-    count = t.size
-    attitudes = checks.attitudes("q", q, f"({count}, 4) or ({count}, N, 4)", flag=flag)
-    bodies = attitudes.shape[1:-1]
-    rates = checks.array("w", w, str((count, *bodies, 3)), flag=flag)
-    kind = np.result_type(attitudes, rates)
-    attitudes = attitudes.reshape(count, -1, 4).astype(kind, copy=False)
-    rates = rates.reshape(count, -1, 3).astype(kind, copy=False)
-    q_out, w_out = _between(t, attitudes, rates, times, flag=flag)
-    return q_out.reshape(times.size, *bodies, 4), w_out.reshape(times.size, *bodies, 3)
+    return nodes, np.where(exist, t[nodes], _NOWHERE * (1.0 + np.arange(n))), exist
 
 
 def _between(
-    t: NDArray[np.float64],
-    q: NDArray[Any],
-    w: NDArray[Any],
-    times: NDArray[np.float64],
-    *,
-    flag: bool,
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Attitudes (T, N, 4) and angular velocities (T, N, 3), from checked arguments."""
-    count, bodies, kind = t.size, q.shape[1], q.dtype
-    many = min(_NODES, count)
-    nodes, places, exist, left = _around(t, times, many)
-    far = _far(t, w, np.unique(nodes[:, :-1][exist[:, 1:]]), flag=flag)
-    # the two ends of the interval come first
-    ends = left[:, None] + np.arange(2)
-    is_other = (nodes != ends[:, :1]) & (nodes != ends[:, 1:]) | ~exist
-    order = np.argsort(is_other, axis=1, kind="stable")
-    nodes = np.take_along_axis(nodes, order, axis=1)
-    places = np.take_along_axis(places, order, axis=1)
-    exist = np.take_along_axis(exist, order, axis=1)
-    span = np.diff(t[ends])
-    shares = (places - t[ends[:, :1]]) / span
-    s = (times - t[ends[:, 0]]) / span[:, 0]
-    clock = np.concatenate(
-        [
-            s[:, None],
-            span,
-            np.where(exist, shares, 0.0)[:, 2:],
-            _weights(shares[:, :2], s),
-            _weights(shares, s),
-        ],
-        axis=1,
-    ).astype(kind)
-    formula = rows(
-        _through,
-        {
-            "clock": clock.shape[1],
-            **{f"q{k}": 4 for k in range(many)},
-            **{f"w{k}": 3 for k in range(many)},
-        },
-        (4, 3, None),
-        kind_of(kind),
-    )
+    t: NDArray[np.float64], q: ArrayLike, w: ArrayLike, times: NDArray[np.float64], *,
+    lost: bool = False,
+) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
+    """Attitudes (T, 4) or (T, N, 4), and angular velocities in the same shape, at times (T,).
+
+    Bodies may be ``lost``, with values that are not finite.
+    """
+    attitudes = checks.attitudes("q", q, f"({t.size}, 4) or ({t.size}, N, 4)", flag=lost)
+    rates = checks.array("w", w, str((*attitudes.shape[:-1], 3)), flag=lost)
+    kind, many = np.result_type(attitudes, rates), min(_NODES, t.size)
+    q, w = (x.reshape(t.size, -1, x.shape[-1]).astype(kind, copy=False) for x in (attitudes, rates))
+    bodies = q.shape[1]
+    nodes, places, exist = _around(t, times, many)
+    last = np.where(exist, nodes, 0).max(axis=1, keepdims=True)
+    far = _far(t, w, np.unique(nodes[exist & (nodes != last)]))
+    start = t[nodes[:, :1]]
+    span = np.diff(t[nodes[:, :2]])
+    shares = (places - start) / span
+    s = (times[:, None] - start) / span
+    others = np.where(exist, shares, 0.0)[:, 2:]
+    weights = _weights(shares[:, :2], s), _weights(shares, s)
+    clock = np.concatenate([s, span, others, *weights], axis=1).astype(kind)
+    sizes = {f"{group}{k}": n for group, n in (("q", 4), ("w", 3)) for k in range(many)}
+    formula = rows(_through, {"clock": clock.shape[1], **sizes}, (4, 3, None), kind_of(kind))
     q_out = np.empty((times.size, bodies, 4), kind)
     w_out = np.empty((times.size, bodies, 3), kind)
     doubt = np.zeros(bodies)
@@ -335,24 +296,23 @@ def _between(
             f"{doubt[poor].max():.2g} rad between the polynomials through four and two of them "
             f"(body {poor[0]}): save more often"
         )
-    return q_out, w_out
+    shape = (times.size, *attitudes.shape[1:-1])
+    return q_out.reshape(*shape, 4), w_out.reshape(*shape, 3)
 
 
-def _far(
-    t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp], *, flag: bool
-) -> NDArray[np.bool_]:
-    """Bodies that rotate by more than π over an interval in use, (N,), unless they are refused."""
-    size = np.sqrt((w.astype(np.float64) ** 2).sum(axis=-1))
+def _far(t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Bodies that rotate by more than π over an interval in use, (N,)."""
+    with np.errstate(over="ignore"):
+        size = np.sqrt((w.astype(np.float64) ** 2).sum(axis=-1))
     span = np.abs(t[used + 1] - t[used])[:, None]
     turn = np.fmax(size[used], size[used + 1]) * span
     far = (turn > np.pi).any(axis=0)
-    if far.any() and not flag:
+    if far.any():
         k, body = np.argwhere(turn > np.pi)[0]
-        raise ValueError(
-            f"t: between saves {used[k]} and {used[k] + 1} body {body} rotates by "
-            f"{turn[k, body]:.3g} rad ({np.count_nonzero(far)} of {far.size} bodies); accepted: at "
-            "most π, with saves "
-            f'{np.pi / turn[k, body] * span[k, 0]:.3g} s apart; invalid="flag" leaves them out'
+        rounding.warn(
+            f"t: {np.count_nonzero(far)} of {far.size} bodies rotate by more than π between two "
+            f"saves (body {body} by {turn[k, body]:.3g} rad after save {used[k]}), so that their "
+            f"results are NaN: save every {np.pi / turn[k, body] * span[k, 0]:.3g} s"
         )
     return np.asarray(far)
 
@@ -361,7 +321,7 @@ def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.f
     """Weights (T, 4 n) at s: of the values and slopes at n nodes, then those of the derivative."""
     n = nodes.shape[1]
     gaps = nodes[:, :, None] - nodes[:, None, :]
-    ahead = (s[:, None] - nodes)[:, None, :] + np.zeros((n, 1))
+    ahead = (s - nodes)[:, None, :] + np.zeros((n, 1))
     itself = np.arange(n)
     gaps[:, itself, itself] = 1.0
     ratio = ahead / gaps
@@ -375,7 +335,7 @@ def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.f
         slope += rest.prod(axis=2)
     inverse = 1.0 / gaps
     inverse[:, itself, itself] = 0.0
-    c, x = inverse.sum(axis=2), s[:, None] - nodes
+    c, x = inverse.sum(axis=2), s - nodes
     square, double = lagrange**2, 2.0 * lagrange * slope
     value = 1.0 - 2.0 * x * c
     return np.concatenate(

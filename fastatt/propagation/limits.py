@@ -16,6 +16,7 @@ from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import fastest_decay
 
 if TYPE_CHECKING:
+    from fastatt.propagation.initial import Initial
     from fastatt.propagation.plan import Plan
 
 
@@ -30,45 +31,28 @@ def turn_limit(
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
-    """The angle that the method limits, rad, in each body's first step; w is (3,) or (N, 3)."""
+    """The angle that the method limits, rad, in each body's first step; w is (N, 3)."""
+    rates = w.astype(np.float64, copy=False)
     with np.errstate(over="ignore", invalid="ignore"):
+        angle = _lengths(rates) * abs(h)
         if method.measure == "angle":
-            return np.asarray(lengths(_finite(w)) * abs(h))
-        m = np.asarray(_fastest(scene, w) * abs(h))
+            return np.asarray(angle)
+        moments = np.sort(scene.principal.moments, axis=-1)
+        least, middle, most = np.moveaxis(moments, -1, 0)
+        # a free body's angular velocity is never above |m|/I_min
+        momentum = _lengths(angular_momentum(rates, np.asarray(scene.inertia))) / least * abs(h)
         if method.measure == "momentum":
-            return m
-        least, middle, most = np.moveaxis(np.sort(scene.principal.moments, axis=-1), -1, 0)
+            return np.asarray(momentum)
         between = (1.0 - least / middle) * (least / middle - least / most)
-        apart = np.asarray(m * np.sqrt(np.abs(between)))
+        apart = np.asarray(momentum * np.sqrt(np.abs(between)))
         if scene.kind != "torqued":
             return apart
-        share = method.limits[TORQUED] / method.limit("quat")
-        return np.asarray(np.maximum(lengths(_finite(w)) * abs(h), share * apart))
+        return np.asarray(np.maximum(angle, method.limits[TORQUED] / method.limit("quat") * apart))
 
 
-def lengths(v: NDArray[Any]) -> NDArray[np.float64]:
-    """Lengths of rows (N, 3), by a matrix product, since NumPy reduces short rows slowly."""
-    sizes = np.asarray(np.sqrt((v * v) @ np.ones(3)))
-    if np.isfinite(sizes).all():
-        return sizes
-    return np.asarray(np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))  # squares overflow
-
-
-def _finite(w: NDArray[Any]) -> NDArray[np.float64]:
-    rates = np.atleast_2d(w).astype(np.float64, copy=False)
-    if np.isfinite((rates @ np.ones(3)).sum()):  # a tenth of the time
-        return rates
-    return np.nan_to_num(rates, posinf=0.0, neginf=0.0)
-
-
-def _fastest(scene: Scene, w: NDArray[Any]) -> NDArray[np.float64]:
-    """``|m|/I_min`` of each body, rad/s, which a free body's angular velocity never exceeds."""
-    inertia = np.asarray(scene.inertia)
-    least = scene.principal.moments.min(axis=-1)
-    rates = _finite(w)
-    if inertia.shape == (3,):  # a fifth of the time
-        return lengths(rates * (inertia / least))
-    return np.asarray(lengths(angular_momentum(rates, inertia)) / least)
+def _lengths(v: NDArray[Any]) -> NDArray[np.float64]:
+    """Lengths of rows (N, 3), whose squares may overflow."""
+    return np.asarray(np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))
 
 
 def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
@@ -79,38 +63,54 @@ def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
         return np.atleast_1d(fastest_decay(scene.torque, scene.principal.moments) * abs(h))
 
 
-def warn(plan: Plan, angles: NDArray[Any]) -> bool:
-    """Warn, once, of steps that are too large or too small, from the rotation angles, rad."""
+def warn(plan: Plan, start: Initial, angles: Any = None, status: Any = None) -> bool:
+    """Warn, once, of steps that are too large or too small.
+
+    Of each body's first step before the run; after it of the largest angles, rad, or of the first
+    steps where these are the reason. The angles from which no number is left are not known.
+    """
+    least, most = plan.usual_angles
+    if angles is not None and least <= angles.max() <= most and not status.any():
+        return False
+    text = "" if angles is None else _advice(plan, angles)
+    if angles is None or text or (status & Status.NON_FINITE).any():
+        first, scene = np.zeros(1), plan.scene
+        if scene.kind != "rate":
+            first = first_step(scene, plan.choice.method, start.y[:, :3], plan.clock.dt)
+        text = _advice(plan, first) or text
+    if text:
+        rounding.warn(text)
+    return bool(text)
+
+
+def _advice(plan: Plan, angles: NDArray[Any]) -> str:
+    """The warning of steps that are too large or too small, from rotation angles, rad; or ""."""
     limit, damped, kind = plan.limit, plan.damped, plan.kind
     method, h = plan.choice.method, plan.clock.dt
-    seen = np.nan_to_num(angles, posinf=0.0)
+    seen = np.where(angles < np.inf, angles, 0.0)
     most = float(seen.max(initial=0.0))
     eps = float(np.finfo(kind).eps)
-    text = ""
     if most > limit:
         measure = "" if method.measure == "angle" else f" by the measure {method.measure!r}"
-        text = (
+        return (
             f"dt: a step of body {seen.argmax()} is {most:.3g} rad{measure}, {method.name}'s limit "
             f"is {limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
             f"|dt| <= {_step_of(h, seen) * limit / most:.3g}"
         )
-    elif (damped > method.damping_limit).any():
+    if (damped > method.damping_limit).any():
         worst = float(damped.max())
-        text = (
+        return (
             f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
             f"to {method.damping_limit:.3g}: take |dt| <= "
             f"{_step_of(h, damped) * method.damping_limit / worst:.3g}"
         )
-    elif 0.0 < most < eps and not plan.attitude.compensated:
-        text = (
+    if 0.0 < most < eps and not plan.attitude.compensated:
+        return (
             f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
             f"take |dt| >= {_step_of(h, seen) * 1e3 * eps / most:.3g}, or compensated=True"
         )
-    elif angles_lost := rounding.of_angles(seen, kind):
-        text = f"dt: found steps of {angles_lost}"
-    if text:
-        rounding.warn(text)
-    return bool(text)
+    rounded = rounding.of_angles(np.array([most]), kind)
+    return f"dt: found steps of {rounded}" if rounded else ""
 
 
 def _step_of(h: Any, measured: NDArray[Any]) -> float:

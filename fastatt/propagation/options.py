@@ -289,16 +289,14 @@ def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:
 
 
 def _times(times: NDArray[np.float64], begin: float, end: float) -> NDArray[np.float64]:
-    forward = end >= begin
+    way = 1.0 if end >= begin else -1.0
     slack = 16.0 * _EPS * (abs(begin) + abs(end))
-    first, last = (begin, end) if forward else (end, begin)
-    outside = (times < first - slack) | (times > last + slack)
+    outside = (way * times < way * begin - slack) | (way * times > way * end + slack)
     if outside.any():
-        k = int(outside.argmax())
+        k, (first, last) = int(outside.argmax()), sorted((begin, end))
         raise ValueError(
             f"save_at[{k}] is {times[k]:.17g}; accepted: from {first:.17g} to {last:.17g}"
         )
-    steps = np.diff(times)
-    if ((steps < 0.0) if forward else (steps > 0.0)).any():
+    if (way * np.diff(times) < 0.0).any():
         raise ValueError("save_at: found times out of order; accepted: in the order of the run")
     return np.ascontiguousarray(times)

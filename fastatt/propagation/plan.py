@@ -18,15 +18,15 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import kind_of
 from fastatt.engine.job import Job
-from fastatt.engine.pool import CALLING_LENGTH, Pool
-from fastatt.engine.program import Program, program, width_for
+from fastatt.engine.pool import CALLING_LENGTH
+from fastatt.engine.program import program, width_for
 from fastatt.engine.run import Results, Run, Setup
+from fastatt.engine.search import WatchedRun
 from fastatt.engine.status import DIAGNOSTICS, Status
 from fastatt.engine.tape import BLOCK, UNBROKEN, Saves, Steps
 from fastatt.propagation import limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of
 from fastatt.propagation.end import End
-from fastatt.propagation.event import watching
 from fastatt.propagation.execute import execute
 from fastatt.propagation.initial import Initial, initial
 from fastatt.propagation.options import Choice, Clock, RunOptions
@@ -34,8 +34,6 @@ from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
 
-# body-steps; before a longer run the first step of each body is checked
-_LONG = 1_000_000
 # for how many step sizes and starts the steps are kept
 _KEPT = 16
 # bodies from which on searching for parameters that all of them share saves time
@@ -79,8 +77,8 @@ class Plan:
     #: the largest share of the rate that damping takes in a step, of each body or of all
     damped: NDArray[np.float64]
     job: Job
-    #: None of a closed form
-    compiled: Program | None
+    #: the ``Program`` of a method that takes steps, None of a closed form
+    program: Any
     n_threads: int = 1
     has_fixed_t0: bool = False
     #: makes the plan again after pickling
@@ -93,20 +91,8 @@ class Plan:
         """How the attitude is represented."""
         return self.choice.attitude
 
-    @property
-    def program(self) -> Program:
-        """The program of a method that takes steps."""
-        assert self.compiled is not None
-        return self.compiled
-
     def __reduce__(self) -> Any:
         return self.remake, ()
-
-    def __deepcopy__(self, memo: Any) -> Plan:
-        return self  # nothing of it changes
-
-    def __copy__(self) -> Plan:
-        return self
 
     def __call__(
         self,
@@ -193,27 +179,27 @@ class Plan:
         flags = np.ascontiguousarray(flags, dtype=np.uint8)
         return Setup(self.program, self.packed, limits, params, flags)
 
-    def pool(self, bodies: int, n_threads: int) -> Pool:
-        """The threads of a run of a number of bodies."""
-        formulas = self.program.formulas
-        return Pool(
-            bodies, self.job.width, formulas.operations, n_threads,
-            calls=self.calls, watched=bool(self.job.events),
-        )  # fmt: skip
+    @cached_property
+    def usual_angles(self) -> tuple[float, float]:
+        """Between which largest angles of a step, rad, there is nothing to warn of."""
+        eps = float(np.finfo(self.kind).eps)
+        if (self.damped > self.choice.method.damping_limit).any():
+            return math.inf, 0.0
+        return 0.0 if self.attitude.compensated else eps, min(self.limit, eps**-0.5)
 
     def steps(self, h: float, t0: float, resumed: End | None, *, ring: bool) -> Steps:
         """The steps of bodies with the step size h; saves go to a ``ring`` of slots."""
         is_plain, key = resumed is None and not ring, (h, t0 if self.job.windowed else 0.0)
         if is_plain and (known := self.kept_steps.get(key)):
             return known
-        clock, breaks = self.clock, UNBROKEN
+        clock, formulas, breaks = self.clock, self.program.formulas, UNBROKEN
         if self.job.windowed:
             breaks = breaks_within(self.scene, t0, clock.duration)
         steps = Steps(
             clock.legs(h, breaks), Saves(clock.since, clock.slack),
             slots=clock.slots if ring else None,
-            every=self.choice.projection, block=CALLING_LENGTH if self.calls else BLOCK,
-            regrids=self.program.formulas.regrids, resumes=resumed is not None, done=clock.done,
+            every=self.choice.projection, block=CALLING_LENGTH if formulas.calls else BLOCK,
+            regrids=formulas.regrids, resumes=resumed is not None, done=clock.done,
             watched=bool(self.job.events),
             new=resumed is None or resumed.about["watched"] != self.watched,
         )  # fmt: skip
@@ -231,12 +217,12 @@ class Plan:
 
         It continues from the end of the run that is ``resumed``.
         """
-        run = Run(self.setup, steps, (start.q, start.y), rows, results, t0)
-        if resumed is None:
-            run.begin()
-        else:
+        kind = WatchedRun if self.job.events else Run
+        run = kind(self.setup, steps, (start.q, start.y), rows, results, t0)
+        run.begin()
+        if resumed is not None:
             is_same = resumed.about["watched"] == self.watched
-            run.resume(resumed.states, resumed.events if is_same else [])
+            run.resume(resumed.arrays, same_events=is_same)
         return run
 
     def times(self, t0: float) -> NDArray[np.float64]:
@@ -245,7 +231,7 @@ class Plan:
         Raises ``ValueError`` if a time overflows.
         """
         clock, times = self.clock, self.clock.times(t0)
-        if self.compiled and (self.job.windowed or self.compiled.formulas.is_timed):
+        if self.program and (self.job.windowed or self.program.formulas.is_timed):
             longest = max(abs(t0), abs(t0 + clock.duration))
             if text := rounding.of_times(longest, clock.h):
                 rounding.warn(text)
@@ -255,16 +241,6 @@ class Plan:
     def width(self) -> int:
         """Number of values that are saved for each body."""
         return self.attitude.stored + sum(self.carried.values())
-
-    @property
-    def is_short(self) -> bool:
-        """Whether warnings may wait until the run is over."""
-        return self.n_bodies * self.clock.n_steps <= _LONG
-
-    @property
-    def calls(self) -> bool:
-        """Whether steps call a user-defined function that is not followed."""
-        return bool(self.program.formulas.calls)
 
     def results(self, saves: int) -> Results:
         """Arrays for a number of saves, not initialised but for the times of events."""
@@ -302,52 +278,26 @@ class Plan:
         ends = pairwise(accumulate(self.carried.values(), initial=self.attitude.stored))
         return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
 
-    @cached_property
-    def _silent_range(self) -> tuple[float, float]:
-        """Range of rotation angles per step, rad, without a warning."""
-        eps = float(np.finfo(self.kind).eps)
-        if (self.damped > self.choice.method.damping_limit).any():
-            return math.inf, 0.0
-        return 0.0 if self.attitude.compensated else eps, min(self.limit, eps**-0.5)
-
-    def warn_of_first(self, start: Initial) -> bool:
-        """Warn of each body's first step, unless the rate is prescribed."""
-        angles = np.zeros(1)
-        if self.scene.kind != "rate":
-            w = start.y[:, :3]
-            angles = limits.first_step(self.scene, self.choice.method, w, self.clock.dt)
-        return limits.warn(self, angles)
-
-    def warn_after(self, start: Initial, angles: NDArray[Any], status: NDArray[np.uint8]) -> None:
-        """Warn of the largest steps of bodies, rad, or of the first step if that is the reason."""
-        least, most = self._silent_range
-        largest = float(angles.max())
-        # the angle of a step from which no number is left is not known
-        is_lost = status.any() and (status & Status.NON_FINITE).any()
-        is_odd = is_lost or (largest and not least <= largest <= most)
-        if self.clock.n_steps and is_odd and not self.warn_of_first(start):
-            limits.warn(self, angles)
-
     def end(self, start: Initial, run: Run, t0: float, done: int) -> End:
         """The end of a run after ``done`` steps, with a copy of its initial values."""
+        about = {**self._about, "t0": t0, "done": done, "one_body": start.one_body}
+        initial = {"q": start.q.copy(), "y": start.y.copy(), "params": self.packed.params}
+        return End(about, {**initial, **run.kept()})
+
+    @cached_property
+    def _about(self) -> dict[str, Any]:
+        """What the end of a run says of its plan."""
         choice = self.choice
-        about = {
+        return {
             "dt": self.clock.h,
-            "t0": t0,
-            "done": done,
             "method": choice.method.name,
             "representation": self.attitude.name,
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection or "output",
             "r0": "r" in self.carried,
-            "one_body": start.one_body,
             "equations": self.equations,
             "watched": self.watched,
         }
-        states = run.states[:, run.without_events]
-        return End(
-            about, start.q.copy(), start.y.copy(), states, self.packed.params, run.events()
-        )  # fmt: skip
 
     @cached_property
     def equations(self) -> str:
@@ -391,7 +341,8 @@ def prepared(
         )
     position = position or scene.needs_position
     packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
-    packed = watching(packed, choice.events)
+    for event in choice.events:
+        packed = packed._replace(tables=packed.tables | event.function.tables)
     lanes = processor().lanes(kind_of(kind))
     groups = np.unique(clock.dt).size
     job = Job(

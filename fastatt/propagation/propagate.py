@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 from numpy.typing import ArrayLike, DTypeLike
 
@@ -16,7 +17,7 @@ from fastatt.propagation.event import events_of
 from fastatt.propagation.execute import execute
 from fastatt.propagation.histories import OnSave, options_of, threads_of
 from fastatt.propagation.initial import Initial, initial
-from fastatt.propagation.options import Choice, Clock, clock_of
+from fastatt.propagation.options import Choice, clock_of
 from fastatt.propagation.plan import Plan, prepared
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
@@ -177,29 +178,43 @@ def propagate(
     """
     as_scene(scene)
     watched = events_of(events, scene, position=r0 is not None)
-    choice = chosen(scene, method, representation, compensated, normalise, watched)
+    how = (method, representation, compensated, normalise, watched)
+    # a choice for events may warn each time
+    choice = chosen(scene, *how) if watched else _kept(scene, chosen, *how)
     t0 = checks.real("t0", t0)
     values = (q0, w0, v0, r0, s0)
     start = Initial.of(*initial(scene, values), checks.precision(dtype, *values))
-    clock = clock_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=start.bodies)
-    options = options_of(clock, start.bodies, n_threads, progress, on_save, checkpoint)
-    plan_of_run = _plan_of(scene, choice, clock, start, r0 is not None)
-    return execute(plan_of_run, start, t0, options)
+    # the steps of a number of steps do not depend on the time at which they begin
+    begin = 0.0 if save_at is None and n_steps is not None else t0
+    n = start.bodies
+    when = (dt, n_steps, t_end, save_every, save_at)
+    about = (n, start.q.dtype, choice, r0 is not None, begin, *when)
+    run = _kept(scene, _planned, *about) if n <= _FEW else _planned(scene, *about)
+    options = options_of(run.clock, n, n_threads, progress, on_save, checkpoint)
+    return execute(run, start, t0, options)
 
 
-def _plan_of(scene: Scene, choice: Choice, clock: Clock, start: Initial, position: bool) -> Plan:
-    """The plan of a run. Plans of small runs are kept with the scene."""
-    n, kind = start.bodies, start.q.dtype
-    is_small = n <= _FEW and not clock.is_per_body and clock.save_at is None
-    steps = clock.h, clock.n_steps, clock.duration, clock.t_end, clock.every
-    key = (n, choice, steps, kind, position)
-    kept: Plan | None = scene.memo.get(key) if is_small else None
+def _planned(
+    scene: Scene, n_bodies: int, kind: Any, choice: Choice, position: bool, begin: float, *when: Any
+) -> Plan:
+    """The plan of a run; ``when`` are the arguments of ``clock_of``."""
+    clock = clock_of(*when, t0=begin, bodies=n_bodies)
+    return prepared(scene, n_bodies, choice, clock, kind, position=position)
+
+
+def _kept(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function makes of a scene and arguments, kept with the scene."""
+    # equal arguments of other types may be refused
+    key = (make, *((type(x), x) for x in arguments))
+    try:
+        kept = scene.memo.get(key)
+    except TypeError:  # an argument without a hash
+        return make(scene, *arguments)
     if kept is None:
-        kept = prepared(scene, n, choice, clock, kind, position=position)
-        if is_small:
-            while len(scene.memo) >= _KEPT:
-                scene.memo.pop(next(iter(scene.memo)), None)
-            scene.memo[key] = kept
+        kept = make(scene, *arguments)
+        while len(scene.memo) >= _KEPT:
+            scene.memo.pop(next(iter(scene.memo)), None)
+        scene.memo[key] = kept
     return kept
 
 
@@ -289,7 +304,7 @@ def plan(
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
     arguments["events"] = watched = events_of(events, scene, position=position)
-    choice = chosen(scene, method, representation, compensated, normalise, events=watched)
+    choice = chosen(scene, method, representation, compensated, normalise, watched)
     t0 = checks.real("t0", t0)
     clock = clock_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=bodies)
     if METHODS.get(choice.method.name) is choice.method:

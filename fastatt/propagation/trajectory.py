@@ -20,12 +20,12 @@ from fastatt.methods import METHODS
 from fastatt.propagation.end import NO_END, End
 from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.models import Law, Packed
-from fastatt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from datetime import datetime
 
     from fastatt.methods.method import Method
+    from fastatt.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,8 +68,8 @@ class Trajectory:
     #: the step size, s, or per-body step sizes (N,)
     dt: Any
     one_body: bool
-    #: the parameters of the scene, or the scene; None if w is part of the state
-    packed: Packed | Scene | None = field(repr=False)
+    #: the structure and the parameters of the scene; None if w is ``carried``
+    packed: Packed | None = field(repr=False)
     attitude: Attitude = field(repr=False)
     record: Method = field(repr=False)
     #: w, v and r, each (S, N, 3), and states s (S, N, n), as far as the scene has them
@@ -128,8 +128,6 @@ class Trajectory:
         if "w" in self.carried:
             return self._shaped(self.carried["w"])
         packed = self.packed
-        if isinstance(packed, Scene):
-            packed = packed.packed(self.status.size)
         assert packed is not None
         turning = packed.structure.turning
         assert isinstance(turning, PrescribedRate)
@@ -234,11 +232,11 @@ class Trajectory:
         **options : dict
             Any of these. ``body_frame``, by default "SC_BODY_1": name of the body frame in the
             standard. ``body``: index of the body, required for an ensemble. ``version``: "2.0"
-            (CCSDS 504.0-B-2, the default) or "1.0" (504.0-B-1). ``attitude_type``: "QUATERNION",
-            "QUATERNION/DERIVATIVE", or with the angular velocity, the default, "QUATERNION/ANGVEL"
-            in version 2.0 and "QUATERNION/RATE" in 1.0. ``metadata`` and ``header``: mappings of
-            further keywords to text, such as ``{"OBJECT_NAME": "SAT-1"}``; OBJECT_NAME and
-            OBJECT_ID are "UNKNOWN" if they are not given.
+            (CCSDS 504.0-B-2, the default) or "1.0" (504.0-B-1). ``attitude_type``: "QUATERNION", or
+            with the angular velocity, the default, "QUATERNION/ANGVEL" in version 2.0 and
+            "QUATERNION/RATE" in 1.0. ``metadata`` and ``header``: mappings of further keywords to
+            text, such as ``{"OBJECT_NAME": "SAT-1"}``; OBJECT_NAME and OBJECT_ID are "UNKNOWN" if
+            they are not given.
 
         Raises
         ------
@@ -250,9 +248,9 @@ class Trajectory:
         TypeError
             If an argument has the wrong type.
         """
-        from fastatt.interchange.aem import aem_of
+        from fastatt.interchange.aem import to_aem
 
-        aem_of(self, epoch=epoch, frame=frame, **options).write(path)
+        to_aem(self, epoch=epoch, frame=frame, **options).write(path)
 
     def plot(self, path: str | Path, scene: Scene | None = None) -> None:
         """Plot attitude, angular velocity and errors of conserved quantities over time.
@@ -277,11 +275,6 @@ class Trajectory:
 
     def __repr__(self) -> str:
         return self.summary()
-
-    def _repr_html_(self) -> str:
-        from fastatt.interchange.tables import table
-
-        return table(self)
 
     def status_counts(self) -> dict[str, int]:
         """Count the bodies that have each flag of :class:`Status`.

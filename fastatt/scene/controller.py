@@ -10,14 +10,57 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.scene import models
-from fastatt.scene.models import Field, Law, PackedLaw, Resources, Sampling
+from fastatt.scene.models import (
+    PER_AXIS,
+    Field,
+    Law,
+    PackedTerm,
+    Packing,
+    Parameters,
+    Sampling,
+    Term,
+    on_each_axis,
+)
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Custom, Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, dot, minus, product, quat, rigid, scale
 
-TabledQuaternion = Annotated[ArrayLike | TimeSeries, Field((4,), table="slopes")]
-#: gains as 1, 3 or 9 numbers
-_Gains = Annotated[ArrayLike, Field((-1,))]
+
+class _Gains(Field):
+    """Gains as rows of 1, 3 or 9 numbers: a number, one of each axis, or a matrix."""
+
+    def flat(self, name: str, value: ArrayLike | None) -> NDArray[np.float64]:
+        gains = models.numbers(name, value, self.accepted)
+        if gains.shape[-2:] != (3, 3):
+            checks.refuse(name, gains, gains < 0.0, "0 or more")
+            return gains.reshape(-1) if gains.ndim < 3 else gains.reshape(-1, 1)
+        size = np.abs(gains).max(axis=(-2, -1))
+        lowest = np.linalg.eigvalsh(gains)[..., 0]
+        asymmetry = np.abs(gains - np.swapaxes(gains, -2, -1)).max(axis=(-2, -1))
+        checks.refuse(f"{name}: its asymmetry", asymmetry, asymmetry > 1e-9 * size, "0")
+        checks.refuse(f"{name}: its lowest eigenvalue", lowest, lowest < -1e-9 * size, "0 or more")
+        return gains.reshape(*gains.shape[:-2], 9)
+
+
+class _Target(Field):
+    """Quaternions, or a table of them whose signs are continuous."""
+
+    def check_table(self, name: str, table: TimeSeries) -> None:
+        super().check_table(name, table)
+        q = table.samples
+        rotated = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
+        if len(rotated):
+            row, k = rotated[0]
+            raise ValueError(
+                f"{name} of row {row} changes its sign, or rotates by π or more, after sample "
+                f"{k}; accepted: quaternions whose signs are continuous"
+            )
+
+
+_EACH = "a number, (3,) per axis, (1, 1) or (3, 3), and of each body (N, 1, 1) or (N, 3, 3)"
+_Gain = Annotated[ArrayLike, _Gains((3, 3), accepted=_EACH)]
+_TabledQuaternion = Annotated[ArrayLike | TimeSeries, _Target((4,), table="slopes")]
+_Limit = Annotated[ArrayLike | None, Field((3,), above_zero=True, accepted=PER_AXIS, optional=True)]
 
 
 class QuaternionPD(Torque):
@@ -51,37 +94,15 @@ class QuaternionPD(Torque):
     >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=pd)
     """
 
-    stiffness: Annotated[ArrayLike, Field((3, 3))]
-    damping: Annotated[ArrayLike, Field((3, 3))]
-    target: TabledQuaternion = (1.0, 0.0, 0.0, 0.0)
-    limit: Annotated[ArrayLike | None, Field((3,))] = None
+    stiffness: _Gain
+    damping: _Gain
+    target: _TabledQuaternion = (1.0, 0.0, 0.0, 0.0)
+    limit: _Limit = None
 
     def decay(self) -> Any:
         """The damping gains, for a matrix the sums of its rows, which bound its eigenvalues."""
         gains = np.abs(np.asarray(self.damping, dtype=np.float64))
         return gains.sum(axis=-1) if gains.ndim >= 2 else gains
-
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        name = f"{argument}: QuaternionPD"
-        if isinstance(self.target, TimeSeries):
-            _check_signs(name, self.target)
-        k = _gains(f"{name}.stiffness", self.stiffness)
-        c = _gains(f"{name}.damping", self.damping)
-        if self.limit is None:
-            feedback: Torque = _Feedback(k, c, self.target)
-        else:
-            limit = models.along_axes(f"{name}.limit", self.limit)
-            limit = np.broadcast_to(limit, (*limit.shape[:-1], 3))
-            feedback = _LimitedFeedback(k, c, self.target, limit)
-        return feedback.pack(n_bodies, argument, resources)
-
-
-class _Feedback(Torque):
-    """A controller with its gains as formulas take them."""
-
-    stiffness: _Gains
-    damping: _Gains
-    target: TabledQuaternion
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
         (target, slope), w = self.target, pose.w
@@ -92,70 +113,19 @@ class _Feedback(Torque):
             target = quat.normalise(target)
             w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
         error = rigid.target_error(target, pose.quaternion)
-        if len(self.stiffness) == len(self.damping) == 1:
-            return rigid.quaternion_feedback(error, w, self.stiffness[0], self.damping[0])
         shorter = scale(-rigid.sign_of_scalar(error), error[1:])
-        return minus(_gained(self.stiffness, shorter), _gained(self.damping, w))
+        torque = minus(_gained(self.stiffness, shorter), _gained(self.damping, w))
+        return rigid.saturated(torque, on_each_axis(self.limit)) if self.limit else torque
 
     def check(self: Any, name: str) -> None:
-        check_unit(f"{name}.target", self.target[0], np.abs(self.stiffness).max(axis=0))
+        check_unit(f"{name}.target", self.target[0], np.abs(self.stiffness).max(axis=(0, 1)))
 
 
-class _LimitedFeedback(_Feedback):
-    """A controller with a largest torque along each axis."""
-
-    limit: Annotated[ArrayLike, Field((3,), above_zero=True)]
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return rigid.saturated(_Feedback.formula(self, t, pose), self.limit)
-
-
-# error messages name a model by its class
-_Feedback.__name__ = _LimitedFeedback.__name__ = QuaternionPD.__name__
-
-
-def _gained(gain: Vector, v: Vector) -> Vector:
-    """The product of a vector with a number, a number per axis, or a matrix."""
-    if len(gain) == 9:
-        return tuple(dot(gain[3 * i : 3 * i + 3], v) for i in range(3))
-    return product(gain * 3 if len(gain) == 1 else gain, v)
-
-
-def _check_signs(name: str, target: TimeSeries) -> None:
-    q = target.samples
-    rotated = np.argwhere((q[:, 1:] * q[:, :-1]).sum(axis=-1) <= 0.0)
-    if len(rotated):
-        row, k = rotated[0]
-        raise ValueError(
-            f"{name}.target of row {row} changes its sign, or rotates by π or more, after sample "
-            f"{k}; accepted: quaternions whose signs are continuous"
-        )
-
-
-def _gains(name: str, value: Any) -> NDArray[np.float64]:
-    """Gains as rows of 1, 3 or 9 numbers, (n,) for all bodies or (N, n).
-
-    Raises ``ValueError`` for other shapes, negative gains and matrices that are not symmetric.
-    """
-    gains = models.numbers(name, value)
-    if gains.shape == (1, 1):  # one number for each body
-        gains = gains[0, 0]
-    if gains.shape not in ((), (3,), (3, 3)) and not (
-        gains.ndim == 3 and gains.size and gains.shape[1:] in ((1, 1), (3, 3))
-    ):
-        raise ValueError(
-            f"{name} {checks.shape(gains)}; accepted: a number, (3,) per axis, a (3, 3) matrix, "
-            "and of each body (N, 1, 1) or (N, 3, 3)"
-        )
-    if gains.shape[-2:] != (3, 3):
-        checks.refuse(name, gains, gains < 0.0, "0 or more")
-        return gains.reshape(-1) if gains.ndim < 3 else gains.reshape(-1, 1)
-    size = np.abs(gains).max(axis=(-2, -1))
-    lowest = np.linalg.eigvalsh(gains)[..., 0]
-    asymmetry = np.abs(gains - np.swapaxes(gains, -2, -1)).max(axis=(-2, -1))
-    checks.refuse(f"{name}: its asymmetry", asymmetry, asymmetry > 1e-9 * size, "0")
-    checks.refuse(f"{name}: its lowest eigenvalue", lowest, lowest < -1e-9 * size, "0 or more")
-    return gains.reshape(*gains.shape[:-2], 9)
+def _gained(gain: tuple[Vector, ...], v: Vector) -> Vector:
+    """The product of a vector with a number, a number per axis, or a matrix, by rows."""
+    if len(gain) == 3:
+        return tuple(dot(row, v) for row in gain)
+    return product(on_each_axis(gain[0]), v)
 
 
 class SampledControl(Torque):
@@ -218,7 +188,7 @@ class SampledControl(Torque):
 
     control: Callable[..., Any] | Torque
     period: float
-    params: Annotated[ArrayLike | None, Field((-1,))] = None
+    params: Parameters = None
     states: int = 0  # type: ignore[misc]
     start: float = 0.0
 
@@ -238,26 +208,26 @@ class SampledControl(Torque):
                 "torque(t, q, w, p) or a model of fastatt.torques"
             )
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        label = f"{argument}: SampledControl.control"
+    def pack(self, packing: Packing) -> PackedTerm:
+        label = f"{packing.argument}: SampledControl.control"
         control: Any = self.control
         is_model, memory = isinstance(control, models.Model), int(self.states)
         if not is_model:
             control = Custom(control, self.params, states=memory)
-        law, params = models.pack(control, Torque, n_bodies, resources, argument=label)[:2]
+        law, params = models.packed_law(control, Torque, packing._replace(argument=label))
         if is_model and law.states:
             raise ValueError(
                 f"{label}: found a model with {law.states} states; accepted: a model without "
                 "states, or a function with memory"
             )
         held = _Held(None, law, Sampling(float(self.period), float(self.start)), 3 + memory)
-        return Law(held, (params.shape[-1],), (None,)), params
+        return Term(held, (params.shape[-1],), (None,)), params
 
 
 class _Held(Torque):
     """A controller whose torque is held, as formulas take it."""
 
-    params: Annotated[ArrayLike | None, Field((-1,))]
+    params: Parameters
     control: Law
     sampling: Sampling  # type: ignore[misc]
     states: int  # type: ignore[misc]

@@ -12,10 +12,9 @@ from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, Self
 
-from fastatt.attitudes import Attitude
+from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene.models import Law
 from fastatt.scene.torque_record import (
-    FREE,
     UNCOUPLED,
     CoupledStates,
     Pose,
@@ -54,11 +53,6 @@ class PrescribedRate(NamedTuple):
         """Number of parameters."""
         return self.law.count
 
-    @property
-    def tail(self) -> int:
-        """Size of the auxiliary state."""
-        return 0
-
 
 class RigidBody(NamedTuple):
     """Structure of a rigid body; ``turned`` if the principal axes are not the body axes.
@@ -80,17 +74,12 @@ class RigidBody(NamedTuple):
         """Number of parameters."""
         return 9 + self.axes + self.law.count
 
-    @property
-    def tail(self) -> int:
-        """Size of the auxiliary state."""
-        return 3
-
 
 class Structure(NamedTuple):
     """The rates, torques and forces of a scene without their numbers.
 
-    Its parameters are those of ``turning``, and with mass 1/μ and those of the force. Next to the
-    rotation it has the velocity, the position and the states of ``turning``'s law.
+    Its parameters are those of ``turning``, and with mass 1/μ, μ and those of the force. Next to
+    the rotation it has the velocity, the position and the states of ``turning``'s law.
     """
 
     turning: PrescribedRate | RigidBody
@@ -101,7 +90,7 @@ class Structure(NamedTuple):
     @property
     def n_params(self) -> int:
         """Number of parameters."""
-        return self.turning.n_params + (0 if self.force is None else 1 + self.force.count)
+        return self.turning.n_params + (0 if self.force is None else 2 + self.force.count)
 
     @property
     def reads_position(self) -> bool:
@@ -119,11 +108,21 @@ class Structure(NamedTuple):
     @property
     def tail(self) -> int:
         """Size of the auxiliary state."""
-        return self.turning.tail + self.coupled
+        return self.coupled + (3 if isinstance(self.turning, RigidBody) else 0)
 
 
 class EquationsOfMotion:
-    """The interface between a method's step and a scene in a representation."""
+    """The interface between a method's step and a scene in a representation.
+
+    Each class has ``at(t)``, what ``field`` needs of a time and is evaluated once for all stages
+    that share it; ``field(g, x)``, the time derivative of a state without low parts, then that of
+    the scene's states; ``base(x)``, the state without its low parts; ``advanced(x, d)``, x + d with
+    the rounding error kept in the low parts; ``turning(g, xdot, x)``, the square of the rate
+    (rad/s) that limits an explicit step; ``begin(q, auxiliary)``, the state at an attitude and an
+    auxiliary state; ``output(x, finish)``, the numbers that a trajectory holds and the norm error,
+    where ``finish`` converts the attitude; and ``pose(t, x)``, attitude and angular velocity of the
+    body axes.
+    """
 
     attitude: Attitude
     _between: tuple[Any, Any] | None = None
@@ -164,41 +163,9 @@ class EquationsOfMotion:
         """An attitude rotated by a rotation vector."""
         return self.attitude.rotate(x, u)
 
-    def at(self, t: Any) -> Any:
-        """What ``field`` needs of the time t, evaluated once for all stages that share it."""
-        raise NotImplementedError
-
-    def field(self, g: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
-        """Time derivative of a state without low parts, then that of the scene's states."""
-        raise NotImplementedError
-
-    def base(self, x: Vector) -> Vector:
-        """The state without its low parts."""
-        raise NotImplementedError
-
-    def advanced(self, x: Vector, d: Vector) -> Vector:
-        """x + d, with the rounding error kept in the low parts."""
-        raise NotImplementedError
-
-    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
-        """Square of the rate (rad/s) that limits an explicit step."""
-        raise NotImplementedError
-
-    def begin(self, q: Vector, auxiliary: Vector) -> Vector:
-        """The state at a given attitude and auxiliary state."""
-        raise NotImplementedError
-
-    def output(self, x: Vector, finish: Callable[[Vector], Any]) -> tuple[Vector, Any]:
-        """(the numbers that the trajectory holds, norm error); ``finish`` converts the attitude."""
-        raise NotImplementedError
-
     def invariants(self, x: Vector) -> Vector:
         """The invariants of the motion; () if there are none."""
         return ()
-
-    def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
-        """(q, w): attitude and angular velocity of the body axes."""
-        raise NotImplementedError
 
 
 class Turning(EquationsOfMotion):
@@ -267,7 +234,7 @@ class Body(EquationsOfMotion):
         #: the moments in the precision of the parameters, for torques
         self.axes_given = p[9:13] if structure.turned else None
         self.torque_numbers = p[9 + structure.axes :]
-        self.is_free = structure.law.model == FREE
+        self.is_free = not structure.law.terms
 
     def attitude_of(self, x: Vector) -> Vector:
         """The attitude in a state."""
@@ -377,13 +344,20 @@ class Body(EquationsOfMotion):
         return quat.mul(q, quat.conj(self.axes)), quat.rotate(self.axes, w)
 
 
-def motion_of(
+def rotation_of(
     structure: PrescribedRate | RigidBody, attitude: Attitude, p: Vector, like: Any
 ) -> Turning | Body:
-    """The equations of motion of a structure; ``like`` has the state's precision."""
+    """The equations of a rotation; ``like`` has the state's precision."""
     if isinstance(structure, PrescribedRate):
         return Turning(attitude, structure, p, like)
     return Body(attitude, structure, p, like)
+
+
+def acceleration(force: Law, t: Any, q: Vector, w: Vector, coupled: CoupledStates, p: Any) -> Any:
+    """The acceleration by a force, m/s² along body axes; p are 1/μ, μ and its parameters."""
+    pose = Pose(QUATERNION, q, w, coupled=coupled, mass=p[1])
+    acting = force.formula(t, pose, p[2:])
+    return scale(p[0], as_like(tuple(acting), q[0]))
 
 
 class Coupled(EquationsOfMotion):
@@ -397,12 +371,12 @@ class Coupled(EquationsOfMotion):
     def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
         super().__init__(attitude)
         n = structure.turning.n_params
-        self.inner = motion_of(structure.turning, attitude, p[:n], like)
+        self.inner = rotation_of(structure.turning, attitude, p[:n], like)
         # stages are evaluated without low parts
-        self.stage = motion_of(structure.turning, attitude.plain, p[:n], like)
+        self.stage = rotation_of(structure.turning, attitude.plain, p[:n], like)
         self._coupled, self._force = structure.coupled, structure.force
         self._states = structure.turning.law.states
-        #: 1/μ and the parameters of the force; empty without a force
+        #: 1/μ, μ and the parameters of the force; empty without a force
         self._numbers = p[n:]
         #: squares of the orbital rates at the stages of the step that is being recorded
         self._squares: list[Any] = []
@@ -432,10 +406,9 @@ class Coupled(EquationsOfMotion):
         v, r = coupled.velocity, coupled.position
         q, w = self.stage.pose(t, a, coupled)
         q = quat.renormalise(q)
-        acting = force.formula(self.instant(t), q, w, *coupled, self._numbers[1:])
-        push = scale(self._numbers[0], as_like(tuple(acting), v[0]))
+        push = acceleration(force, self.instant(t), q, w, coupled, self._numbers)
         if r:
-            terms = force.having("squared_rate", None, self._numbers[1:])
+            terms = force.having("squared_rate", None, self._numbers[2:])
             self._squares += [x.squared_rate(r) for x in terms]
         return (*minus(push, vec3.cross(w, v)), *(quat.rotate(q, v) if r else ()))
 
@@ -491,3 +464,13 @@ class Coupled(EquationsOfMotion):
     def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
         a, moved = self._split(x)
         return self.inner.pose(t, a, self._named(moved))
+
+
+Motion = Turning | Body | Coupled
+
+
+def motion_of(structure: Structure, attitude: Attitude, p: Vector, like: Any) -> Motion:
+    """The equations of motion of a scene; ``like`` has the state's precision."""
+    if structure.coupled:
+        return Coupled(attitude, structure, p, like)
+    return rotation_of(structure.turning, attitude, p, like)

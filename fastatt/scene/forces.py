@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fastatt.scene.models import (
     Model,
     Number,
@@ -19,7 +16,8 @@ from fastatt.scene.models import (
     TabledVector,
     UserModel,
 )
-from fastatt.tracing.formulas import Vector, dot, quat, scale
+from fastatt.scene.torque_record import Pose
+from fastatt.tracing.formulas import Vector, dot, scale
 from fastatt.tracing.graph import apply
 from fastatt.tracing.user import FORMS, UserFunction
 
@@ -28,11 +26,11 @@ _FORMS = "force", "force at position"
 
 
 class Force(Model):
-    """Base class of forces: ``formula(t, q, w, v, r, s)``, N along body axes.
+    """Base class of forces: ``formula(t, pose)``, N along body axes.
 
-    v and r are () if no velocity or position is propagated, or if it is not stepped together with
-    the attitude; s are the states of the scene's rate or torque. The optional method
-    ``squared_rate(r)`` returns the square of the orbital rate (rad/s) of a body at r.
+    ``pose.coupled`` has velocity, position and the states of the scene's rate or torque. The
+    optional method ``squared_rate(r)`` returns the square of the orbital rate (rad/s) of a body at
+    r.
     """
 
     kind = "force"
@@ -55,7 +53,7 @@ class Constant(Force):
 
     force: TabledVector
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
         return self.force
 
 
@@ -75,8 +73,8 @@ class ConstantInertial(Force):
 
     force: TabledVector
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
-        return quat.rotate_inverse(q, self.force)
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return pose.to_body(self.force)
 
 
 class Drag(Force):
@@ -95,8 +93,8 @@ class Drag(Force):
 
     coefficient: Number
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
-        return scale(-self.coefficient, v)
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        return scale(-self.coefficient, pose.coupled.velocity)
 
 
 class CentralGravity(Force):
@@ -119,6 +117,14 @@ class CentralGravity(Force):
 
     gravitational_parameter: PositiveNumber = 3.986004418e14
     reads_position = True
+
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        r = pose.coupled.position
+        return pose.to_body(scale(-pose.mass * self.squared_rate(r), r))
+
+    def squared_rate(self: Any, r: Vector) -> Any:
+        inverse = 1.0 / apply("sqrt", dot(r, r))
+        return self.gravitational_parameter * inverse * (inverse * inverse)
 
 
 class Custom(UserModel, Force):
@@ -149,73 +155,32 @@ class Custom(UserModel, Force):
 
     uses_position: bool = False
 
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
+    def formula(self: Any, t: Any, pose: Pose) -> Any:
+        v, r, s = pose.coupled
         placed = (r,) if self.uses_position else ()
-        return self.function.given(t, q, w, v, *placed, s, self.params)
+        return self.function.call(t, pose.quaternion, pose.w, v, *placed, s, self.params)
 
+    def takes(self, states: int) -> int:
+        """The number of a scene's states that the function takes, by the number of its arguments.
 
-class _InScene(Custom):
-    """``Custom`` together with the number of the scene's states that its function takes."""
-
-    taken: int = 0
-
-
-class _Weight(CentralGravity):
-    """``CentralGravity`` together with the mass of the scene, kg."""
-
-    mass: Number = 1.0
-
-    def formula(self: Any, t: Any, q: Vector, w: Vector, v: Vector, r: Vector, s: Vector) -> Any:
-        k = -self.mass * falling(r, self.gravitational_parameter)
-        return quat.rotate_inverse(q, scale(k, r))
-
-    def squared_rate(self: Any, r: Vector) -> Any:
-        return falling(r, self.gravitational_parameter)
-
-
-# error messages name a model by its class
-_Weight.__name__, _InScene.__name__ = CentralGravity.__name__, Custom.__name__
-
-
-def falling(r: Vector, gravitational_parameter: Any) -> Any:
-    """μ/r³, 1/s²: the square of the rate of a circular orbit."""
-    inverse = 1.0 / apply("sqrt", dot(r, r))
-    return gravitational_parameter * inverse * (inverse * inverse)
-
-
-def in_scene(model: Any, mass: NDArray[np.float64], states: int) -> Any:
-    """A force in a scene with ``mass``, () or (N,), kg, and ``states``."""
-    if isinstance(model, Sum) and isinstance(model.terms, (tuple, list)):
-        return Sum(tuple(in_scene(term, mass, states) for term in model.terms))
-    if isinstance(model, CentralGravity):
-        return _Weight(model.gravitational_parameter, mass)
-    if isinstance(model, Custom):
-        taken = _taken(model, states)
-        return _InScene(model.function, model.params, model.uses_position, taken)
-    return model
-
-
-def _taken(model: Custom, states: int) -> int:
-    """The number of a scene's states that a function takes, by the number of its arguments.
-
-    Raises ``TypeError`` for more arguments than it can take.
-    """
-    function = model.function
-    if not isinstance(function, UserFunction):
-        function = UserFunction(function)
-    names, form = function.required, FORMS[model.form]
-    more = len(names) - len(form.before) - 1
-    if more <= 0:
-        return 0
-    # the states, not a position that was not asked for
-    if more > 1 or not states or ("r" in names and not model.uses_position):
-        calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
-        raise TypeError(
-            f"force: found {function.called_as}; accepted: "
-            f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "
-            f"{calls[2]} or {calls[3]}"
-        )
-    return states
+        Raises ``TypeError`` for more arguments than it can take.
+        """
+        function = self.function
+        if not isinstance(function, UserFunction):
+            function = UserFunction(function)
+        names, form = function.required, FORMS[self.form]
+        more = len(names) - len(form.before) - 1
+        if more <= 0:
+            return 0
+        # the states, not a position that was not asked for
+        if more > 1 or not states or ("r" in names and not self.uses_position):
+            calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
+            raise TypeError(
+                f"force: found {function.called_as}; accepted: "
+                f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "
+                f"{calls[2]} or {calls[3]}"
+            )
+        return states
 
 
 __all__ = ["CentralGravity", "Constant", "ConstantInertial", "Custom", "Drag", "Sum"]

@@ -8,7 +8,7 @@ which alone a formula depends) and an array of parameters, (P,) shared by all bo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Annotated, Any, ClassVar, NamedTuple, Self, dataclass_transform, get_type_hints
@@ -20,23 +20,42 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
 from fastatt.tracing.formulas import Vector
-from fastatt.tracing.user import FORMS, UserFunction, user_function
+from fastatt.tracing.user import FORMS, user_function
 
-Resources = dict[tuple[str, Any], Any]
-#: a law with its parameters, (P,) or (N, P)
+#: numbers of tables, by the names that graphs have for them
+Tables = dict[Any, NDArray[np.float64]]
+#: a term or a law with its parameters, (P,) or (N, P)
+PackedTerm = tuple["Term", NDArray[np.float64]]
 PackedLaw = tuple["Law", NDArray[np.float64]]
 
 
-class Field(NamedTuple):
-    """One field of a model: its shape for one body (−1: any length) and whether it must be above 0.
+class Packing(NamedTuple):
+    """What a model is packed for.
 
-    ``table`` says whether the field may be a table, and what the formula then receives: "values",
-    or "slopes" for the pair of the values and their time derivatives, which are () for constants.
+    The number of bodies if it is known, the model's name in messages, the tables, to which those of
+    the model are added, and the number of states that a scene has for its force.
+    """
+
+    n_bodies: int | None
+    argument: str
+    tables: Tables
+    states: int = 0
+
+
+@dataclass(frozen=True)
+class Field:
+    """One parameter of a model: its shape for one body (−1: any length) and what it may be.
+
+    ``accepted`` are the shapes that it may have, if these are not that of one body and rows of it.
+    ``table`` says whether it may be a table, and what the formula then receives: "values", or
+    "slopes" for the pair of the values and their time derivatives, which are () for constants.
     """
 
     shape: tuple[int, ...] = ()
     above_zero: bool = False
     table: str = ""
+    accepted: str = ""
+    optional: bool = False
 
     def shaped(self, numbers: Any) -> Any:
         """The field as a formula takes it: a number, a tuple, or a tuple of rows."""
@@ -47,23 +66,24 @@ class Field(NamedTuple):
             return tuple(numbers[k : k + n] for k in range(0, len(numbers), n))
         return (numbers, ()) if self.table == "slopes" else numbers
 
-    def flat(self, name: str, value: ArrayLike) -> NDArray[np.float64]:
-        """The numbers in rows, (n,) or (N, n).
+    def flat(self, name: str, value: ArrayLike | None) -> NDArray[np.float64]:
+        """The numbers in rows, (n,) or (N, n); (0,) for an optional field without a value.
 
         Raises ``ValueError`` for other shapes, and for numbers that must be above 0 and are not.
         """
-        array, shape = numbers(name, value), self.shape
-        bodies = array.shape[: max(array.ndim - len(shape), 0)]
-        tail = array.shape[len(bodies) :]
-        fits = array.size > 0 and len(bodies) <= 1 and len(tail) == len(shape)
-        if not fits or any(n not in (m, -1) for m, n in zip(tail, shape, strict=True)):
-            lengths = ", ".join("K" if n == -1 else str(n) for n in shape)
-            one = f"({lengths},)" if len(shape) == 1 else f"({lengths})"
-            each = f"(N, {lengths})" if shape else "(N,)"
-            raise ValueError(f"{name} {checks.shape(array)}; accepted are {one} and {each}")
+        if value is None and self.optional:
+            return np.zeros(0)
+        array = numbers(name, value, self.accepted or self._shapes())
         if self.above_zero:
             checks.refuse(name, array, array <= 0.0, "above 0")
-        return array.reshape((*bodies, -1))
+        return array.reshape((*array.shape[: max(array.ndim - len(self.shape), 0)], -1))
+
+    def _shapes(self) -> str:
+        """The shape of one body and that of N, in the words of a message."""
+        if not self.shape:
+            return "a number or (N,)"
+        lengths = ", ".join("K" if n == -1 else str(n) for n in self.shape)
+        return f"({lengths}{',' if len(self.shape) == 1 else ''}) or (N, {lengths})"
 
     def check_table(self, name: str, table: TimeSeries) -> None:
         """Refuse a table that does not fit this field."""
@@ -75,10 +95,15 @@ class Field(NamedTuple):
             raise ValueError(f'{name}: found a table of kind "{kind}"; accepted: "cubic"')
 
 
+#: shapes of a number for all axes or one of each
+PER_AXIS = "a number, (1,) or (3,) per axis, (N, 1) or (N, 3) per body"
+
 # annotations of a model's fields
 Number = Annotated[ArrayLike, Field()]
 PositiveNumber = Annotated[ArrayLike, Field(above_zero=True)]
 Vector3 = Annotated[ArrayLike, Field((3,))]
+NumberOrVector = Annotated[ArrayLike, Field((3,), accepted=PER_AXIS)]
+Parameters = Annotated[ArrayLike | None, Field((-1,), optional=True)]
 TabledVector = Annotated[ArrayLike | TimeSeries, Field((3,), table="values")]
 TabledMomentum = Annotated[ArrayLike | TimeSeries, Field((3,), table="slopes")]
 
@@ -156,13 +181,13 @@ class Model:
         """A model with other ``values``."""
         return cls(*values)
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        """Check the parameters and lay them out flat; tables are added to ``resources``.
+    def pack(self, packing: Packing) -> PackedTerm:
+        """Check the parameters and lay them out flat.
 
         Raises ``ValueError`` or ``TypeError`` for numbers that are not finite or of the wrong
         shape.
         """
-        name = f"{argument}: {type(self).__name__}"
+        name, tables = f"{packing.argument}: {type(self).__name__}", packing.tables
         columns: list[NDArray[np.float64]] = []
         look_ups: list[LookUp | None] = []
         for key, field in self.fields.items():
@@ -171,17 +196,19 @@ class Model:
                 field.check_table(label, value)
                 rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
                 columns.append(rows)
-                look_ups.append(LookUp(len(resources), value.form, field.table == "slopes"))
-                resources["table", len(resources)] = value.data
+                look_ups.append(LookUp(len(tables), value.form, field.table == "slopes"))
+                tables[len(tables)] = value.data
             else:
                 columns.append(field.flat(label, value))
                 look_ups.append(None)
-        params = join(columns, n_bodies, name)
-        empty = replace(self, **dict.fromkeys(self.fields))  # type: ignore[type-var]
-        law = Law(empty, tuple(column.shape[-1] for column in columns), tuple(look_ups))
+        params = join(columns, packing.n_bodies, name)
+        sizes = tuple(column.shape[-1] for column in columns)
+        fields = zip(self.fields.items(), sizes, strict=True)
+        empty = {key: field.shaped((None,) * size) for (key, field), size in fields}
+        term = Term(replace(self, **empty), sizes, tuple(look_ups))  # type: ignore[type-var]
         if not any(look_ups):
-            law.numbers(None, np.moveaxis(params, -1, 0)).check(name)
-        return law, params
+            term.numbers(None, np.moveaxis(params, -1, 0)).check(name)
+        return term, params
 
 
 class Sum(Model):
@@ -199,6 +226,12 @@ class Sum(Model):
     """
 
     terms: Sequence[Model]
+
+    def __post_init__(self) -> None:
+        terms = checks.several("Sum.terms", self.terms, "models")
+        if not terms:
+            raise ValueError("Sum.terms: is empty; accepted: one model or more")
+        object.__setattr__(self, "terms", tuple(terms))
 
     @property
     def values(self) -> tuple[Any, ...]:
@@ -219,16 +252,15 @@ class UserModel(Model):
     """A model given by a user-defined function."""
 
     function: Callable[..., Any]
-    params: Annotated[ArrayLike | None, Field((-1,))] = None
+    params: Parameters = None
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
         """Whether the function depends on the position."""
         return checks.flag("uses_position", getattr(self, "uses_position", False))
 
-    @property
-    def taken(self) -> int:
-        """Number of states that the function takes."""
+    def takes(self, states: int) -> int:
+        """Number of states that the function takes, its own or those of a scene."""
         return self.states
 
     @property
@@ -237,15 +269,15 @@ class UserModel(Model):
         return f"{self.kind} at position" if self.reads_position else self.kind
 
     def formula(self: Any, *state: Any) -> Any:
-        return self.function.given(*state, self.params)
+        return self.function.call(*state, self.params)
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        """The law of a function, followed or compiled, and its parameters, (P,) or (N, P)."""
-        params = join([parameters("params", self.params)], n_bodies, "params")
-        n = params.shape[-1]
-        function = user_function(self.function, self.form, n, params, self.taken)
-        resources.update(resources_of(function))
-        return Law(replace(self, function=function, params=None), (n,), (None,)), params
+    def pack(self, packing: Packing) -> PackedTerm:
+        """The term of a function, followed or compiled, and its parameters, (P,) or (N, P)."""
+        params = join([parameters("params", self.params)], packing.n_bodies, "params")
+        n, states = params.shape[-1], self.takes(packing.states)
+        function = user_function(self.function, self.form, n, params, states)
+        packing.tables.update(function.tables)
+        return Term(replace(self, function=function, params=None), (n,), (None,)), params
 
 
 class LookUp(NamedTuple):
@@ -257,42 +289,20 @@ class LookUp(NamedTuple):
 
     def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:
         """The values that a formula receives for the field; p is the row, if there are several."""
-        values, slopes = recorded(self.number, self.form, t, *p)
-        return (values, slopes) if self.slopes else values
+        numbers, size = recorded(self.number, self.form, t, *p), self.form.size
+        return (numbers[:size], numbers[size:]) if self.slopes else numbers[:size]
 
 
 @dataclass(frozen=True)
-class Law:
-    """A model without its numbers, with the size of each field.
+class Term:
+    """A model with None in place of its numbers, with the size of each field.
 
-    ``look_ups`` has an entry for each field, None if it is not a table; ``parts`` are the laws of a
-    sum's terms.
+    ``look_ups`` has an entry for each field, None if it is not a table.
     """
 
     model: Any
-    sizes: tuple[int, ...] = ()
-    look_ups: tuple[LookUp | None, ...] = ()
-    parts: tuple[Law, ...] = ()
-
-    @cached_property
-    def count(self) -> int:
-        """Number of parameters."""
-        return sum(self.sizes) + sum(part.count for part in self.parts)
-
-    def terms(self, p: Any) -> Iterator[tuple[Law, Any]]:
-        """The laws of a sum's terms, or this law, each with its parameters."""
-        start = 0
-        for leaf in self.leaves():
-            yield leaf, p[start : start + leaf.count]
-            start += leaf.count
-
-    def having(self, name: str, t: Any, p: Any) -> list[Any]:
-        """The models of terms that have a method of a name, with their numbers at a time."""
-        return [
-            leaf.numbers(t, parameters)
-            for leaf, parameters in self.terms(p)
-            if getattr(leaf.model, name) is not None
-        ]
+    sizes: tuple[int, ...]
+    look_ups: tuple[LookUp | None, ...]
 
     def numbers(self, t: Any, p: Any) -> Any:
         """The model at a time, with fields from flat parameters or from tables."""
@@ -306,33 +316,60 @@ class Law:
             start += size
         return replace(self.model, **values)
 
+
+@dataclass(frozen=True)
+class Law:
+    """The models whose sum acts, without their numbers; none for a free body."""
+
+    terms: tuple[Term, ...]
+
+    @cached_property
+    def models(self) -> list[Any]:
+        """The models of the terms."""
+        return [term.model for term in self.terms]
+
+    @cached_property
+    def count(self) -> int:
+        """Number of parameters."""
+        return sum(sum(term.sizes) for term in self.terms)
+
+    def having(self, name: str, t: Any, p: Any) -> list[Any]:
+        """The models that have a method of a name, with their numbers at a time."""
+        start, having = 0, []
+        for term in self.terms:
+            n = sum(term.sizes)
+            if getattr(term.model, name) is not None:
+                having.append(term.numbers(t, p[start : start + n]))
+            start += n
+        return having
+
     @cached_property
     def states(self) -> int:
         """The number of its states."""
-        return sum(leaf.model.states for leaf in self.leaves())
+        return sum(model.states for model in self.models)
 
     def formula(self, *arguments: Any, states: Vector = ()) -> Any:
-        """The model's formula at a time and further arguments, parameters last.
+        """The sum of the models' formulas at a time and further arguments, parameters last.
 
         For a law with ``states``, their time derivatives follow the three components.
         """
         *state, p = arguments
-        start, terms = 0, []
-        for law, parameters in self.terms(p):
-            states_of_term = (states[start : start + law.states],) if law.states else ()
-            terms.append(law.numbers(state[0], parameters).evaluate(*state, *states_of_term))
-            start += law.states
-        columns = zip(*(term[:3] for term in terms), strict=True)
-        acting = tuple(sum(column[1:], column[0]) for column in columns)
-        return (*acting, *(slope for term in terms for slope in term[3:]))
+        start, results = 0, []
+        for model in self.having("formula", state[0], p):
+            states_of_model = (states[start : start + model.states],) if model.states else ()
+            results.append(model.evaluate(*state, *states_of_model))
+            start += model.states
+        columns = zip(*(result[:3] for result in results), strict=True)
+        acting = tuple(sum(column[1:], column[0]) for column in columns) or (0.0, 0.0, 0.0)
+        return (*acting, *(slope for result in results for slope in result[3:]))
 
     @cached_property
     def sampling(self) -> Sampling | None:
         """When its states jump.
 
-        Raises ``ValueError`` for parts whose states jump at different times.
+        Raises ``ValueError`` for models whose states jump at different times.
         """
-        clocks = {leaf.model.sampling for leaf in self.leaves()} - {None}
+        clocks = {model.sampling for model in self.models} - {None}
         if len(clocks) > 1:
             listed = ", ".join(f"{x.period} s from {x.start} s" for x in sorted(clocks))
             raise ValueError(
@@ -344,22 +381,20 @@ class Law:
     def updated(self, t: Any, pose: Any, p: Any, states: Vector) -> Vector:
         """The states after a sample time, of those before."""
         after: list[Any] = []
-        for law, parameters in self.terms(p):
-            before = states[len(after) : len(after) + law.states]
-            after += law.numbers(t, parameters).update(t, pose, before) if before else ()
+        for model in self.having("formula", t, p):
+            before = states[len(after) : len(after) + model.states]
+            after += model.update(t, pose, before) if before else ()
         return tuple(after)
+
+    @cached_property
+    def is_constant(self) -> bool:
+        """Whether it is a rate that is constant along its axes."""
+        return all(model.is_constant for model in self.models)
 
     @cached_property
     def reads_position(self) -> bool:
         """Whether it depends on the position."""
-        return any(leaf.model.reads_position for leaf in self.leaves())
-
-    def leaves(self) -> Iterable[Law]:
-        """The laws of a sum's terms, or this law."""
-        if not self.parts:
-            yield self
-        for part in self.parts:
-            yield from part.leaves()
+        return any(model.reads_position for model in self.models)
 
 
 class Packed(NamedTuple):
@@ -371,80 +406,54 @@ class Packed(NamedTuple):
     params: NDArray[np.float64]
     #: tables, by the names that graphs have for them: numbers for fields of models, the objects
     #: themselves for those in a user-defined function
-    resources: Resources
-
-    @property
-    def tables(self) -> dict[Any, NDArray[np.float64]]:
-        """The tables alone."""
-        return {x: array for (kind, x), array in self.resources.items() if kind == "table"}
+    tables: Tables
 
 
-def resources_of(function: UserFunction) -> Resources:
-    """The tables in the graph of a user-defined function, by their names there."""
-    return {("table", x): array for x, array in function.tables.items()}
-
-
-def pack(
-    model: Any,
-    base: type[Model],
-    n_bodies: int | None,
-    resources: Resources | None = None,
-    argument: str = "",
-) -> Packed:
+def pack(model: Any, base: type[Model], n_bodies: int | None, **others: Any) -> Packed:
     """Check the parameters of a model, a subclass of ``base``, and lay them out flat.
 
-    ``argument`` names it in messages; the default is its kind.
+    ``others`` are ``tables``, to which its own are added, and ``states`` of a scene.
 
     Raises ``TypeError`` if it is not a model, ``ValueError`` for numbers that are not finite or of
     the wrong shape.
     """
-    resources = {} if resources is None else resources
-    return Packed(*_pack(model, base, n_bodies, argument or base.kind, resources), resources)
+    packing = Packing(n_bodies, base.kind, **{"tables": {}} | others)
+    return Packed(*packed_law(model, base, packing), packing.tables)
 
 
-def _pack(
-    model: Any, base: type[Model], n_bodies: int | None, argument: str, resources: Resources
-) -> PackedLaw:
+def packed_law(model: Any, base: type[Model], packing: Packing) -> PackedLaw:
+    """The law of a model or of a sum of them, and its parameters."""
+    argument = packing.argument
     if isinstance(model, Sum):
-        name = f"{argument}: Sum"
-        if not isinstance(model.terms, (tuple, list)) or not model.terms:
-            raise ValueError(f"{name}.terms is empty; accepted is a tuple of models")
-        terms = [_pack(term, base, n_bodies, name, resources) for term in model.terms]
-        laws, columns = zip(*terms, strict=True)
-        return Law(Sum(()), parts=laws), join(columns, n_bodies, name)
+        packing = packing._replace(argument=f"{argument}: Sum")
+        laws, columns = zip(*(packed_law(x, base, packing) for x in model.terms), strict=True)
+        terms = tuple(term for law in laws for term in law.terms)
+        return Law(terms), join(columns, packing.n_bodies, packing.argument)
     if isinstance(model, base):
-        return model.pack(n_bodies, argument, resources)
+        term, params = model.pack(packing)
+        return Law((term,)), params
     names = import_module(f"fastatt.scene.{base.kind}s").__all__
     raise TypeError(
-        f"{argument}: found {type(model).__name__}; accepted is a model of fastatt.{base.kind}s "
+        f"{argument}: found {type(model).__name__}; accepted: a model of fastatt.{base.kind}s "
         f"({', '.join(names)}) or a function {FORMS[base.kind].call}"
     )
 
 
-def numbers(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A finite float64 array of any shape."""
-    array = checks.numbers(name, value, "finite numbers")
-    checks.finite(name, array)
-    return array.astype(np.float64, copy=False)
+def numbers(name: str, value: Any, shapes: str) -> NDArray[np.float64]:
+    """A finite float64 array of one of the shapes, as ``checks.array`` takes them."""
+    return checks.array(name, value, shapes).astype(np.float64, copy=False)
 
 
 def parameters(name: str, value: ArrayLike | None) -> NDArray[np.float64]:
     """The argument p of a user-defined function, (P,) or (N, P); (0,) for None."""
-    rows = np.atleast_1d(numbers(name, () if value is None else value))
-    if rows.ndim > 2 or (rows.ndim == 2 and not len(rows)):
-        raise ValueError(f"{name}: {checks.shape(rows)}; accepted are (P,) and (N, P)")
-    return rows
+    tails = [(), (0,), (-1,), (-1, -1)]
+    array = checks.array(name, () if value is None else value, "(P,) or (N, P)", tails)
+    return np.atleast_1d(array.astype(np.float64, copy=False))
 
 
-def along_axes(name: str, value: ArrayLike, axes: int = 3) -> NDArray[np.float64]:
-    """A number, or one of each axis, for all bodies or each: (), (1,), (3,), (N, 1) or (N, 3)."""
-    array = numbers(name, value)
-    if array.ndim > 2 or not array.size or array.shape[-1:] not in ((), (1,), (axes,)):
-        raise ValueError(
-            f"{name} {checks.shape(array)}; accepted: a number, ({axes},) per axis, (N, 1) or "
-            f"(N, {axes}) per body"
-        )
-    return array
+def on_each_axis(numbers: Vector) -> Vector:
+    """One number of each axis, of those that ``PER_AXIS`` accepts."""
+    return tuple(numbers) * 3 if len(numbers) == 1 else numbers
 
 
 def row_count(n_bodies: int | None, rows: int) -> str:

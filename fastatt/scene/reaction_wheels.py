@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.inertia import is_tensor
-from fastatt.scene.models import Field, Law, PackedLaw, Resources, Sampling, join, resources_of
+from fastatt.scene.models import (
+    Field,
+    Law,
+    PackedTerm,
+    Packing,
+    Parameters,
+    Sampling,
+    Term,
+    join,
+)
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
@@ -128,15 +137,15 @@ class ReactionWheels(Torque):
     axes: _Rows
     inertia: _OfWheels
     command: Callable[..., Any] | Torque | None = None
-    params: Annotated[ArrayLike | None, Field((-1,))] = None
+    params: Parameters = None
     states: int = 0  # type: ignore[misc]
     period: float | None = None
     start: float = 0.0
     viscous: _OfWheels = 0.0
     coulomb: _OfWheels = 0.0
     coulomb_speed: _OfWheels = 1.0
-    max_torque: Annotated[ArrayLike | None, Field((-1,))] = None
-    max_speed: Annotated[ArrayLike | None, Field((-1,))] = None
+    max_torque: Parameters = None
+    max_speed: Parameters = None
 
     def __post_init__(self) -> None:
         name, command = "ReactionWheels", self.command
@@ -157,17 +166,17 @@ class ReactionWheels(Torque):
                 f"{FORMS['command'].with_states(axes.shape[-2]).call} or a model of fastatt.torques"
             )
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        name = f"{argument}: ReactionWheels"
+    def pack(self, packing: Packing) -> PackedTerm:
+        name = f"{packing.argument}: ReactionWheels"
         axes, columns = self._numbers(name)
         count = axes.shape[-2]
         columns["axes"] = axes.reshape(*axes.shape[:-2], -1)
         columns |= {"distribution": np.zeros(0), "params": np.zeros(0)}
-        command, sampled, memory = None, self._sampling(name), int(self.states)
-        label = f"{name}.command"
+        command: Law | UserFunction | None = None
+        sampled, memory = self._sampling(name), int(self.states)
         if isinstance(self.command, models.Model):
-            packed = models.pack(self.command, Torque, n_bodies, resources, argument=label)
-            command, columns["params"] = packed.structure, packed.params
+            of_command = packing._replace(argument=f"{name}.command")
+            command, columns["params"] = models.packed_law(self.command, Torque, of_command)
             inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
             columns["distribution"] = np.swapaxes(inverse, -1, -2).reshape(*axes.shape[:-2], -1)
         elif self.command is not None:
@@ -175,14 +184,14 @@ class ReactionWheels(Torque):
             command = user_function(
                 self.command, "command", params.shape[-1], params, count + memory, memory
             )
-            resources.update(resources_of(command))
+            packing.tables.update(command.tables)
         states = count * (1 if sampled is None else 2) + memory
         states += command.states if isinstance(command, Law) else 0
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
         driven = _Driven(**nothing, command=command, states=states, sampled=sampled)
-        law = Law(driven, sizes, (None,) * len(sizes))
-        return law, join(list(columns.values()), n_bodies, name)
+        term = Term(driven, sizes, (None,) * len(sizes))
+        return term, join(list(columns.values()), packing.n_bodies, name)
 
     def corners(self) -> NDArray[np.float64]:
         """Those of a command that is a model."""
@@ -196,11 +205,7 @@ class ReactionWheels(Torque):
         return Sampling(checks.above_zero(f"{name}.period", self.period, "above 0, s"), start)
 
     def _unit_axes(self, name: str) -> NDArray[np.float64]:
-        axes = models.numbers(f"{name}.axes", self.axes)
-        if axes.ndim not in (2, 3) or axes.shape[-1] != 3 or not axes.size:
-            raise ValueError(
-                f"{name}.axes {checks.shape(axes)}; accepted: (K, 3), or (N, K, 3) per body"
-            )
+        axes = models.numbers(f"{name}.axes", self.axes, "(K, 3) or (N, K, 3)")
         check_unit(f"{name}.axes", np.moveaxis(axes, -1, 0), 1.0)
         return np.asarray(axes / np.linalg.norm(axes, axis=-1, keepdims=True))
 
@@ -208,11 +213,12 @@ class ReactionWheels(Torque):
         """Unit axes (K, 3) or (N, K, 3), and numbers of each wheel (K,), (N, K), (0,) for none."""
         axes = self._unit_axes(name)
         columns, count = {"axes": axes}, axes.shape[-2]
+        shapes = f"a number, (1,) or ({count},), (N, 1) or (N, {count}) per body"
         for key in ("inertia", "viscous", "coulomb", "coulomb_speed", "max_torque", "max_speed"):
             value, label = getattr(self, key), f"{name}.{key}"
             columns[key] = np.zeros(0)
             if value is not None or not key.startswith("max"):
-                each = models.along_axes(label, value, count)
+                each = models.numbers(label, value, shapes)
                 if key in ("inertia", "coulomb_speed", "max_speed"):
                     checks.refuse(label, each, each <= 0.0, "above 0")
                 checks.refuse(label, each, each < 0.0, "0 or more")

@@ -29,7 +29,7 @@ from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.user import UserFunction
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """The bodies that are propagated, with their rates, torques and forces.
 
@@ -127,6 +127,10 @@ class Scene:
     rows: ClassVar[int | None] = None
     #: whether a torque or a force depends on the position, which is then propagated
     needs_position: ClassVar[bool] = False
+    #: when states of a sampled controller jump
+    sampling: ClassVar[models.Sampling | None] = None
+    #: of the rate or the torque
+    _law: ClassVar[Law]
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
@@ -168,9 +172,10 @@ class Scene:
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
-        # refuses two clocks
-        _ = self.sampling
+        object.__setattr__(self, "_law", structure.turning.law)
         object.__setattr__(self, "states", carried)
+        # refuses two clocks
+        object.__setattr__(self, "sampling", structure.turning.law.sampling)
         # computed once, since it takes long for many bodies
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
@@ -184,6 +189,14 @@ class Scene:
     @property
     def _key(self) -> tuple[Any, ...]:
         return tuple(map(_key, self._given))
+
+    def __repr__(self) -> str:
+        shown = [
+            f"{field.name}={checks.brief(x)}"
+            for field, x in zip(fields(self), self._given, strict=True)
+            if isinstance(x, np.ndarray) or x != field.default
+        ]
+        return f"Scene({', '.join(shown)})"
 
     def __reduce__(self) -> Any:
         """The constructor's arguments."""
@@ -232,7 +245,7 @@ class Scene:
     @property
     def is_constant(self) -> bool:
         """Whether the rate is constant along its axes, so that one exponential is exact."""
-        return isinstance(self.rate, models.Model) and self.rate.is_constant
+        return self.rate is not None and self._law.is_constant
 
     @cached_property
     def principal(self) -> Principal:
@@ -241,11 +254,6 @@ class Scene:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
         body = principal(self.inertia, allow_unphysical=self.allow_unphysical)
         return Principal(*map(_kept, body))
-
-    @cached_property
-    def _law(self) -> Law:
-        law: Law = self._body(None).structure.turning.law
-        return law
 
     def dependence(self, *, sorted_axes: bool = False) -> Dependence:
         """How the torque depends on w."""
@@ -256,7 +264,7 @@ class Scene:
     @property
     def reads_position(self) -> bool:
         """Whether the torque depends on the position."""
-        return self.rate is None and self._law.reads_position
+        return self._law.reads_position
 
     @cached_property
     def has_potential(self) -> bool:
@@ -279,11 +287,6 @@ class Scene:
     def moves(self) -> bool:
         """Whether the velocity is propagated."""
         return self.mass is not None
-
-    @property
-    def sampling(self) -> models.Sampling | None:
-        """When states of a sampled controller jump."""
-        return self._law.sampling if self.rate is None else None
 
     @property
     def is_coupled(self) -> bool:
@@ -331,12 +334,12 @@ class Scene:
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        model = forces.in_scene(model, mass, packed.structure.turning.law.states)
-        force = models.pack(model, forces.Force, n_bodies, packed.resources)
-        columns = [packed.params, 1.0 / mass[..., None], force.params]
+        given = {"tables": packed.tables, "states": packed.structure.turning.law.states}
+        force = models.pack(model, forces.Force, n_bodies, **given)
+        columns = [packed.params, 1.0 / mass[..., None], mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)
-        return Packed(structure, join(columns, n_bodies, "mass, force"), packed.resources)
+        return Packed(structure, join(columns, n_bodies, "mass, force"), packed.tables)
 
     def _rate(self, n_bodies: int | None) -> Packed:
         from fastatt.scene import rates
@@ -372,8 +375,8 @@ class Scene:
 
 def _functions_of(law: Law) -> Iterator[UserFunction]:
     """User-defined functions of a law, and of the controllers in it."""
-    for leaf in law.leaves():
-        for value in leaf.model.values:
+    for model in law.models:
+        for value in model.values:
             if isinstance(value, UserFunction):
                 yield value
             elif isinstance(value, Law):
@@ -383,8 +386,7 @@ def _functions_of(law: Law) -> Iterator[UserFunction]:
 def _held(value: Any) -> Any:
     """A function, also of a model, as a scene holds it: it is frozen when it is first packed."""
     if isinstance(value, models.Model):
-        is_sum = isinstance(value, models.Sum) and not isinstance(value.terms, (tuple, list))
-        return value if is_sum else value.of(map(_held, value.values))
+        return value.of(map(_held, value.values))
     if isinstance(value, tuple):
         return tuple(map(_held, value))
     is_given = callable(value) and not isinstance(value, (TimeSeries, UserFunction, type))
@@ -441,16 +443,13 @@ def as_scene(scene: object) -> Scene:
 
 
 def _breakpoints(value: Any) -> tuple[float, ...]:
-    times = np.atleast_1d(numbers("breakpoints", () if value is None else value))
-    if times.ndim > 1:
-        raise ValueError(f"breakpoints: {checks.shape(times)}; accepted: times (B,), s")
-    return tuple(np.unique(times).tolist())
+    times = () if value is None else value
+    instants = checks.array("breakpoints", times, "times (B,), s", [(), (0,), (-1,)])
+    return tuple(np.unique(instants.astype(np.float64)).tolist())
 
 
 def _masses(value: ArrayLike) -> NDArray[np.float64]:
-    mass = numbers("mass", value)
-    if mass.ndim > 1 or not mass.size:
-        raise ValueError(f"mass: {checks.shape(mass)}; accepted: a number or (N,), kg")
+    mass = numbers("mass", value, "a number or (N,), kg")
     with np.errstate(divide="ignore", over="ignore"):
         checks.refuse("mass", mass, (mass <= 0.0) | np.isinf(1.0 / mass), "above 0, kg")
     return mass

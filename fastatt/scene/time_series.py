@@ -8,7 +8,7 @@ serves tables with other numbers.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,8 +54,6 @@ class Head(NamedTuple):
 
 
 _SIZE = len(Head._fields)
-# the positions of these numbers
-_AT = Head(*range(_SIZE))
 
 
 class TableLayout(NamedTuple):
@@ -67,6 +65,11 @@ class TableLayout(NamedTuple):
     holds: bool
     own: bool
     steps: bool
+
+    @property
+    def stride(self) -> int:
+        """Numbers of memory per sample: the values, and for a cubic its other coefficients."""
+        return self.size * (4 if self.cubic else 1)
 
 
 class TimeSeries:
@@ -151,23 +154,22 @@ class TimeSeries:
                 f"slopes: found of shape {of} for {kind} values {shape}; accepted: "
                 "of the same shape, for cubic ones"
             )
-        if cubic:
-            if slopes is None:
-                known = derivatives(times, samples.swapaxes(0, 1), min(5, len(times)))
-                known = known.swapaxes(0, 1)
-            else:
-                known = _samples("slopes", slopes, len(times))
-            samples = np.concatenate([samples, known], axis=-1)
-        n = len(times)
+        n, size = len(times), samples.shape[-1]
         slack = _SLACK * float(np.abs(times[[0, -1]]).max())
         width = (times[-1] - times[0]) / (n - 1)
         # a held sample begins at its time exactly
         even = np.abs(times[0] + width * np.arange(n) - times).max() <= slack
         uniform = bool(even) and not steps
+        if cubic:
+            if slopes is None:
+                known = derivatives(times, samples.swapaxes(0, 1), min(5, n)).swapaxes(0, 1)
+            else:
+                known = _samples("slopes", slopes, n)
+            widths = np.full(n - 1, width) if uniform else gaps
+            samples = _polynomials(samples, known, widths[:, None])
         index = np.zeros(0) if uniform else _index(times)
         buckets = n - 1 if uniform else len(index) - n
         self.scalar = len(shape) == 1
-        size = samples.shape[-1] // (2 if cubic else 1)
         self.form = TableLayout(size, cubic, uniform, holds, len(shape) == 3, steps)
         head = Head(
             first=times[0], end=times[-1], width=width if uniform else gaps.min(),
@@ -226,7 +228,7 @@ class TimeSeries:
     def samples(self) -> Numbers:
         """The values: (rows, T, k)."""
         numbers = self.data[int(self._head.samples) :]
-        return numbers.reshape(self.rows, -1, 1 + self.form.cubic, self.form.size)[:, :, 0]
+        return numbers.reshape(self.rows, -1, self.form.stride)[..., : self.form.size]
 
     def __getitem__(self, rows: Any) -> TimeSeries:
         if not self.form.own:
@@ -290,8 +292,13 @@ class TimeSeries:
         tuple of ndarray
             The k values, then the k slopes.
         """
-        values, slopes = self._of_arrays(t, row)
-        return (*values, *slopes)
+
+        def take(place: Any, count: int) -> Any:
+            first = np.asarray(place).astype(np.int64)
+            return [self.data[first + k] for k in range(count)]
+
+        with np.errstate(invalid="ignore", over="ignore"):
+            return _look_up(self.form, t, row, _Ways(take, np.floor, np.where))
 
     def traced_at(self, t: Any, row: Any) -> tuple[Any, ...]:
         """Values, then slopes, as operations of a compiled loop.
@@ -306,8 +313,7 @@ class TimeSeries:
         tuple of numbers of the graph
             The k values, then the k slopes.
         """
-        values, slopes = recorded(self, self.form, t, row)
-        return (*values, *slopes)
+        return recorded(self, self.form, t, row)
 
     def at(self, times: ArrayLike) -> Numbers:
         """Interpolate at many times.
@@ -328,92 +334,101 @@ class TimeSeries:
             If ``times`` are no numbers, or of another shape.
         """
         instants = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
-        values = self._of_arrays(instants[:, None], np.arange(float(self.rows)))[0]
+        numbers = self.numbers_at(instants[:, None], np.arange(float(self.rows)))
+        values = numbers[: self.form.size]
         return np.stack(values, axis=-1) if self.form.own else np.concatenate(values, axis=-1)
-
-    def _of_arrays(self, t: Any, row: Any) -> Any:
-        def take(place: Any) -> Any:
-            return self.data[np.asarray(place).astype(np.int64)]
-
-        with np.errstate(invalid="ignore", over="ignore"):
-            return _look_up(self.form, t, row, _Ways(take, np.floor, np.where))
 
 
 class _Ways(NamedTuple):
-    """How a formula takes the number at a position, rounds down and chooses."""
+    """How a formula takes so many numbers from a position on, rounds down and chooses."""
 
-    take: Callable[[Any], Any]
+    take: Callable[[Any, int], Any]
     floor: Callable[[Any], Any]
     choose: Callable[[Any, Any, Any], Any]
 
 
-def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> Any:
-    """(values, slopes) of traced numbers, from the table that memory has under a name."""
+def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> tuple[Any, ...]:
+    """Values, then slopes, of traced numbers, from the table that memory has under a name."""
     # the floor of a dual number is a node of its graph
     of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
 
     def double(x: Any) -> Any:
         return Double(x) if isinstance(x, Recorded) else graph.number(of, x, "double")
 
-    def take(place: Any) -> Any:
-        return functions.gather(name, double(place), "double")
+    def take(place: Any, count: int) -> Any:
+        return functions.row(name, double(place), count)
 
     ways = _Ways(take, lambda x: graph.apply("floor", x), graph.choose)
     return _look_up(form, double(t), double(0.0 if row is None else row), ways)
 
 
-def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> Any:
-    """(values, slopes) at t in a row. No position is outside the table, whatever the numbers."""
+def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> tuple[Any, ...]:
+    """Values, then slopes, at t in a row. Positions are within the table for any numbers."""
     take, floor, choose = ways
-    inside = (t >= take(_AT.low)) & (t <= take(_AT.high))
+    head = Head(*take(0.0, _SIZE))
+    inside = (t >= head.low) & (t <= head.high)
     if form.holds:
-        t = choose(t < take(_AT.first), take(_AT.first), t)
-        t = choose(t > take(_AT.end), take(_AT.end), t)
-    s = (t - take(_AT.first)) / take(_AT.width)
+        t = choose(t < head.first, head.first, t)
+        t = choose(t > head.end, head.end, t)
+    s = (t - head.first) / head.width
     k = floor(choose(s > 0.0, s, 0.0))
-    k = choose(k < take(_AT.last), k, take(_AT.last))
-    width = take(_AT.width)
+    k = choose(k < head.last, k, head.last)
+    width = head.width
     if form.uniform:
         f = s - k
     else:
-        begin = take(_AT.times)
-        k = take(_SIZE + k)
+        (k,) = take(_SIZE + k, 1)
         if form.steps:
-            k = choose((t < take(begin + k)) & (k > 0.0), k - 1.0, k)
-        k = choose(t >= take(begin + k + 1.0), k + 1.0, k)
-        k = choose(k < take(_AT.interval), k, take(_AT.interval))
-        width = take(begin + k + 1.0) - take(begin + k)
-        f = (t - take(begin + k)) / width
+            (begin,) = take(head.times + k, 1)
+            k = choose((t < begin) & (k > 0.0), k - 1.0, k)
+        begin, middle, end = take(head.times + k, 3)
+        is_next = (t >= middle) & (k < head.interval)
+        k = choose(is_next, k + 1.0, k)
+        begin, end = choose(is_next, middle, begin), choose(is_next, end, middle)
+        width = end - begin
+        f = (t - begin) / width
         if form.steps:  # 1 at the last sample only; NaN stays
-            end = take(begin + k + 1.0)
             f = choose(t >= end, 1.0, choose(t < end, 0.0, f))
-    sample = take(_AT.samples) + (1.0 + form.cubic) * form.size * k
+    sample = head.samples + float(form.stride) * k
     if form.own:
-        there = (row >= 0.0) & (row < take(_AT.rows)) & (floor(row) == row)
-        sample = sample + choose(there, row, 0.0) * take(_AT.row)
+        there = (row >= 0.0) & (row < head.rows) & (floor(row) == row)
+        sample = sample + choose(there, row, 0.0) * head.row
     else:
         there = inside
     if form.own or not form.holds:
         known = there if form.holds else inside & there
         f, width = choose(known, f, np.nan), choose(known, width, np.nan)
-    pairs = [_between(form, sample + float(c), f, width, ways) for c in range(form.size)]
+    numbers = take(sample, form.stride if form.cubic else 2 * form.size)
+    pairs = [_between(form, numbers[c :: form.size], f, width, choose) for c in range(form.size)]
     values, slopes = zip(*pairs, strict=True)
-    return values, tuple(choose(inside, x, 0.0) for x in slopes) if form.holds else slopes
+    return (*values, *(choose(inside, x, 0.0) if form.holds else x for x in slopes))
 
 
-def _between(form: TableLayout, sample: Any, f: Any, width: Any, ways: _Ways) -> Any:
-    """(value, slope) at a fraction f of an interval between two samples; NaN if f is."""
-    size, take, choose = float(form.size), ways.take, ways.choose
-    a, b = take(sample), take(sample + (1.0 + form.cubic) * size)
+def _between(form: TableLayout, numbers: Sequence[Any], f: Any, width: Any, choose: Any) -> Any:
+    """(value, slope) at a fraction f of an interval; NaN if f is.
+
+    The numbers are the coefficients of a cubic, or the samples before and after.
+    """
+    if form.cubic:
+        a, b, c, d = numbers
+        return a + f * (b + f * (c + f * d)), (b + f * (2.0 * c + f * (3.0 * d))) / width
+    before, after = numbers
     if form.steps:
-        return choose(f < 1.0, a, choose(f >= 1.0, b, f)), choose(f < 2.0, 0.0, f)
-    rise = b - a
-    if not form.cubic:
-        return a + f * rise, rise / width
-    da, db = width * take(sample + size), width * take(sample + 3.0 * size)
-    two, three = 3.0 * rise - 2.0 * da - db, da + db - 2.0 * rise
-    value = a + f * (da + f * (two + f * three))
-    return value, (da + f * (2.0 * two + f * (3.0 * three))) / width
+        return choose(f < 1.0, before, choose(f >= 1.0, after, f)), choose(f < 2.0, 0.0, f)
+    rise = after - before
+    return before + f * rise, rise / width
+
+
+def _polynomials(values: Numbers, slopes: Numbers, widths: Numbers) -> Numbers:
+    """Coefficients of the cubic of each interval by powers of the fraction, (rows, T, 4 k).
+
+    Of the last sample there is the value alone.
+    """
+    rise = np.diff(values, axis=1)
+    begin, end = widths * slopes[:, :-1], widths * slopes[:, 1:]
+    powers = [begin, 3.0 * rise - 2.0 * begin - end, begin + end - 2.0 * rise]
+    others = np.pad(np.concatenate(powers, axis=-1), ((0, 0), (0, 1), (0, 0)))
+    return np.concatenate([values, others], axis=-1)
 
 
 def _samples(name: str, value: ArrayLike, n: int) -> Numbers:
@@ -459,7 +474,8 @@ def _index(t: Numbers) -> Numbers:
             f"at least the whole span through {_BUCKETS}"
         )
     starts = t[0] + gaps.min() * np.arange(n)
-    return np.concatenate([np.searchsorted(t, starts, side="right") - 1.0, t])
+    intervals = np.searchsorted(t, starts, side="right") - 1.0
+    return np.concatenate([np.minimum(intervals, len(t) - 2.0), t])
 
 
 __all__ = ["TimeSeries"]

@@ -21,11 +21,10 @@ from fastatt.scene.models import (
     Law,
     Model,
     Packed,
-    PackedLaw,
-    Resources,
+    PackedTerm,
+    Packing,
     Sum,
     UserModel,
-    resources_of,
 )
 from fastatt.tracing.formulas import Vector, as_like, plus, quat
 from fastatt.tracing.user import UserFunction, user_function
@@ -60,7 +59,8 @@ class Pose:
     ``coupled`` has the quantities that are stepped with the attitude, with the velocity along body
     axes; ``axes`` is the quaternion of the principal axes, along which the pose is given, if these
     are not the body axes. ``wheels()`` are (moment of inertia, axis along body axes) of reaction
-    wheels, which the principal moments do not contain.
+    wheels, which the principal moments do not contain. Forces are evaluated at a pose of the body
+    axes, without moments, with the ``mass``.
     """
 
     def __init__(
@@ -68,14 +68,15 @@ class Pose:
         attitude: Attitude,
         x: Vector,
         w: Vector,
-        moments: Vector,
+        moments: Vector = (),
         coupled: CoupledStates = UNCOUPLED,
         axes: Vector | None = None,
         wheels: Callable[[], Iterable[tuple[Any, Vector]]] = tuple,
+        mass: Any = None,
     ) -> None:
         self._attitude, self._x = attitude, x
         self.w, self.moments, self.coupled, self.axes = w, moments, coupled, axes
-        self.wheels = wheels
+        self.wheels, self.mass = wheels, mass
 
     @cached_property
     def quaternion(self) -> Any:
@@ -193,32 +194,33 @@ class Custom(UserModel, Torque):
         return None if self.potential is None else self._energy
 
     def _energy(self: Any, t: Any, pose: Pose) -> Any:
-        return self.potential.given(t, pose.quaternion, pose.coupled.position, self.params)
+        return self.potential.call(t, pose.quaternion, pose.coupled.position, self.params)
 
     def formula(self: Any, t: Any, pose: Pose, *states: Vector) -> Any:
         placed = pose.coupled[:2] if self.uses_position else ()
         torque = self.function.call(t, pose.quaternion, pose.w, *placed, *states, self.params)
         return as_like(torque, pose.moments[0])
 
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        law, params = super().pack(n_bodies, argument, resources)
-        function = law.model.function
+    def pack(self, packing: Packing) -> PackedTerm:
+        term, params = super().pack(packing)
+        function = term.model.function
         # checked when the scene is made, not at each run
         if (
-            not checks.flag("uses_rate", self.uses_rate)
-            and n_bodies is None
+            self.depends is Dependence.POSITION
+            and packing.n_bodies is None
             and _uses_rate(function)
         ):
             raise ValueError(
-                f"{argument}: found Custom.uses_rate False with {function.name}, which gives other "
-                "torques at some w than at w = 0; accepted: True, or a function that does not use w"
+                f"{packing.argument}: found Custom.uses_rate False with {function.name}, which "
+                "gives other torques at some w than at w = 0; accepted: True, or a function that "
+                "does not use w"
             )
         if self.potential is not None:
             form = self.form.replace("torque", "potential")
-            energy = user_function(self.potential, form, law.count, params)
-            resources.update(resources_of(energy))
-            law = replace(law, model=replace(law.model, potential=energy))
-        return law, params
+            energy = user_function(self.potential, form, params.shape[-1], params)
+            packing.tables.update(energy.tables)
+            term = replace(term, model=replace(term.model, potential=energy))
+        return term, params
 
 
 def _uses_rate(function: UserFunction) -> bool:
@@ -232,26 +234,10 @@ def _uses_rate(function: UserFunction) -> bool:
     return False
 
 
-class _NoTorque(Torque):
-    """The torque of a free body."""
-
-    depends = Dependence.POSITION
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return 0.0, 0.0, 0.0
-
-    def energy(self, t: Any, pose: Pose) -> Any:
-        return 0.0
-
-
-FREE = _NoTorque()
-
-
 def potential_of(law: Law, t: Any, pose: Pose, p: Vector) -> Any:
     """Potential energy (J) of a law that has one."""
     terms = law.having("energy", t, p)
-    return sum(x.energy(t, pose if x.axis_free else pose.along_body) for x in terms)
+    return sum((x.energy(t, pose if x.axis_free else pose.along_body) for x in terms), 0.0)
 
 
 def damping_rates(law: Law, moments: Vector, p: Vector, *, turned: bool = False) -> Vector | None:
@@ -285,29 +271,32 @@ def lever_of(model: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]] | No
     """(arm, pull) of a model that has a lever, each (3,) or (N, 3); None for any other model."""
     if not isinstance(model, Torque) or model.lever is None:
         return None
-    law, params = model.pack(None, "torque", {})
-    if any(law.look_ups):  # tables depend on time
+    term, params = model.pack(Packing(None, "torque", {}))
+    if any(term.look_ups):  # tables depend on time
         return None
-    arm, pull = law.numbers(None, np.moveaxis(params, -1, 0)).lever()
+    arm, pull = term.numbers(None, np.moveaxis(params, -1, 0)).lever()
     return np.stack(arm, axis=-1), np.stack(np.broadcast_arrays(*pull), axis=-1)
 
 
 def has_potential(law: Law) -> bool:
     """Whether kinetic plus potential energy is conserved under a law."""
     # tables depend on time
-    return all(not any(leaf.look_ups) and leaf.model.energy is not None for leaf in law.leaves())
+    return all(not any(term.look_ups) and term.model.energy is not None for term in law.terms)
 
 
 def dependence(law: Law, *, turned: bool = False) -> Dependence:
     """How a law depends on w; damping per axis counts as such only if axes are not ``turned``."""
-    return max(
+    each = (
         Dependence.RATE
         if x.depends is Dependence.DAMPED and turned and not x.axis_free
         else x.depends
-        for x in (leaf.model for leaf in law.leaves())
+        for x in law.models
     )
+    return max(each, default=Dependence.POSITION)
 
 
-def pack(model: Any, n_bodies: int | None, resources: Resources | None = None) -> Packed:
+def pack(model: Any, n_bodies: int | None) -> Packed:
     """``models.pack`` of a torque, or of none."""
-    return models.pack(FREE if model is None else model, Torque, n_bodies, resources)
+    if model is None:
+        return Packed(Law(()), np.zeros(0), {})
+    return models.pack(model, Torque, n_bodies)

@@ -14,14 +14,13 @@ from fastatt import checks
 from fastatt.scene.controller import QuaternionPD, SampledControl
 from fastatt.scene.models import (
     Number,
-    PackedLaw,
+    NumberOrVector,
     PositiveNumber,
-    Resources,
     Sum,
     TabledMomentum,
     TabledVector,
     Vector3,
-    along_axes,
+    on_each_axis,
 )
 from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.torque_record import ROUNDED, Custom, Dependence, Pose, Torque, check_unit
@@ -90,47 +89,21 @@ class Damping(Torque):
     >>> scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Damping(0.02))
     """
 
-    coefficient: Vector3
+    coefficient: NumberOrVector
     depends = Dependence.DAMPED
+
+    @property
+    def axis_free(self: Any) -> bool:  # type: ignore[override]
+        return len(self.coefficient) == 1
+
+    def formula(self, t: Any, pose: Pose) -> Any:
+        return rigid.damping(pose.w, self.linear_damping())
+
+    def linear_damping(self: Any) -> Any:
+        return on_each_axis(self.coefficient)
 
     def decay(self) -> Any:
         return self.coefficient
-
-    def pack(self, n_bodies: int | None, argument: str, resources: Resources) -> PackedLaw:
-        c = np.atleast_1d(along_axes(f"{argument}: Damping.coefficient", self.coefficient))
-        damping: Torque = _DampingOfAxes(c) if c.shape[-1] == 3 else _EqualDamping(c[..., 0])
-        return damping.pack(n_bodies, argument, resources)
-
-
-class _EqualDamping(Torque):
-    """Damping with one coefficient for all axes."""
-
-    coefficient: Number
-    depends = Dependence.DAMPED
-    axis_free = True
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return rigid.damping(pose.w, self.linear_damping())
-
-    def linear_damping(self) -> Any:
-        return (self.coefficient,) * 3
-
-
-class _DampingOfAxes(Torque):
-    """Damping with a coefficient for each body axis."""
-
-    coefficient: Vector3
-    depends = Dependence.DAMPED
-
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        return rigid.damping(pose.w, self.coefficient)
-
-    def linear_damping(self) -> Any:
-        return self.coefficient
-
-
-# error messages name a model by its class
-_EqualDamping.__name__ = _DampingOfAxes.__name__ = Damping.__name__
 
 
 class QuadraticDamping(Torque):

@@ -38,8 +38,6 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
 
     ``within`` are the functions around it. Raises ``TraceError`` for what Numba does not know.
     """
-    if frozen.is_source(value):
-        raise TraceError(f"{value!r:.60}, which may differ from call to call")
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, (np.ndarray, np.generic)):

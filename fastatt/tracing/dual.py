@@ -15,19 +15,38 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from fastatt.kernels import trig
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double, Number
-from fastatt.tracing.nodes import Composed, Recorded, TraceError
+from fastatt.tracing.mathematics import as_float
+from fastatt.tracing.nodes import Composed, Node, TraceError
+from fastatt.tracing.source import evaluated
 
 _STEP = 2.0**-17
 """Of differences: near the cube root of an ulp, where rounding and truncation are alike."""
 
 Slope = Callable[[Any, Any], Any]
 
+#: derivatives of operators by a and b, from these and the result
+_BY_BOTH: dict[Any, Callable[..., tuple[Any, Any]]] = {
+    operator.add: lambda a, b, f: (1.0, 1.0),
+    operator.sub: lambda a, b, f: (1.0, -1.0),
+    operator.mul: lambda a, b, f: (b, a),
+    operator.truediv: lambda a, b, f: (1.0 / b, -f / b),
+}
 _COMPARISONS = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
+
+
+def _operators(operation: Callable[[Any, Any], Any]) -> list[Callable[[Any, Any], Any]]:
+    """An operator, and the one with its operands turned."""
+
+    def operate(a: Any, b: Any) -> Any:
+        x, y = value(a), value(b)
+        result = operation(x, y)
+        by_a, by_b = _BY_BOTH[operation](x, y, result)
+        return _through(result, (a, by_a), (b, by_b))
+
+    return [operate, lambda b, a: operate(a, b)]
 
 
 def _comparison(test: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
@@ -51,86 +70,46 @@ class Dual(Composed):
 
     def precision(self) -> Callable[[Any], Any]:
         """``type(x)``, as for its value."""
-        return self.value.precision() if isinstance(self.value, Number) else _as_is
+        return self.value.precision() if isinstance(self.value, Number) else as_float
 
     def cast(self, to: type[Number]) -> Any:
         """The number in another precision."""
         slopes = [to(slope) if isinstance(slope, Number) else slope for slope in self.slopes]
         return _dual(to(self.value), slopes)
 
-    def __add__(self, other: Any) -> Any:
-        a, b, pairs = _aligned(self, other)
-        return _dual(a + b, [da + db for da, db in pairs])
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        a, b, pairs = _aligned(self, other)
-        return _dual(a - b, [da - db for da, db in pairs])
-
-    def __rsub__(self, other: Any) -> Any:
-        return _dual(other - self.value, [-slope for slope in self.slopes])
-
-    def __mul__(self, other: Any) -> Any:
-        a, b, pairs = _aligned(self, other)
-        return _dual(a * b, [da * b + a * db for da, db in pairs])
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        return _quotient(self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _quotient(other, self)
-
-    def __pow__(self, power: Any) -> Any:
-        return self.raised(power)
-
-    def __neg__(self) -> Any:
-        return _dual(-self.value, [-slope for slope in self.slopes])
-
-    def __abs__(self) -> Any:
-        below = self.value < 0.0
-        return _dual(abs(self.value), [graph.choose(below, -slope, slope) for slope in self.slopes])
-
+    __add__, __radd__ = _operators(operator.add)
+    __sub__, __rsub__ = _operators(operator.sub)
+    __mul__, __rmul__ = _operators(operator.mul)
+    __truediv__, __rtruediv__ = _operators(operator.truediv)
+    __neg__ = lambda self: _through(-self.value, (self, -1.0))  # noqa: E731
+    __abs__ = lambda self: self.applied("abs")  # noqa: E731
+    __pow__ = lambda self, power: self.raised(power)  # noqa: E731
     __lt__, __le__, __gt__, __ge__, __eq__, __ne__ = map(_comparison, _COMPARISONS)
     __hash__ = None  # type: ignore[assignment]
 
-    def through(self, result: Any, slope: Any) -> Any:
-        """The result of a function whose derivative at this number is ``slope``."""
-        return _dual(result, [slope * d for d in self.slopes])
-
     def applied(self, function: str) -> Any:
         """A function of one number."""
-        if function == "abs":
-            return abs(self)
-        result = _applied(function, self.value)
-        if function in ("rint", "floor"):
-            return result
-        return self.through(result, _SLOPES[function](self.value, result))
+        result, slope = _applied(function, self.value), _SLOPES.get(function)
+        return _through(result, (self, slope(self.value, result))) if slope else result
 
     def raised(self, power: Any) -> Any:
         """A power that is a whole number or half of one."""
         if power == 0.5:
             return self.applied("sqrt")
         result = _raised(self.value, power)
-        return self.through(result, power * _raised(self.value, power - 1)) if power else result
+        slope = power * _raised(self.value, power - 1) if power else 0.0
+        return _through(result, (self, slope))
 
     @classmethod
     def chosen(cls, test: Any, a: Any, b: Any) -> Any:
         """``a if test else b``."""
-        x, y, pairs = _aligned(a, b)
-        return _dual(
-            graph.choose(test, x, y),
-            [da if _same(da, db) else graph.choose(test, da, db) for da, db in pairs],
-        )
+        return _selected(graph.choose(test, value(a), value(b)), test, a, b)
 
     @classmethod
     def larger(cls, a: Any, b: Any) -> Any:
         """The larger of two."""
-        x, y, pairs = _aligned(a, b)
-        first = x > y
-        return _dual(functions.larger(x, y), [graph.choose(first, da, db) for da, db in pairs])
+        x, y = value(a), value(b)
+        return _selected(functions.larger(x, y), x > y, a, b)
 
     @classmethod
     def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
@@ -140,10 +119,9 @@ class Dual(Composed):
         is some 1e-10 if the function changes over a scale of 1.
         """
         values = [value(x) for x in args]
-        everything = [y for x in args for y in (x, *getattr(x, "slopes", ()))]
-        like = next(x for x in map(value, everything) if isinstance(x, Number))
-        found = functions.opaque(function, results, values, like)
-        slopes = [[0.0] * _size(args) for _ in range(results)]
+        leaves = (y for x in args for y in (value(x), *getattr(x, "slopes", ())))
+        like = next(x for x in leaves if isinstance(x, Number))
+        slopes: list[list[Any]] = [[] for _ in range(results)]
         for k, x in enumerate(args):
             if not isinstance(x, Dual):
                 continue
@@ -156,9 +134,9 @@ class Dual(Composed):
             # the difference after rounding
             inverse = 1.0 / (above - below)
             for row, high, low in zip(slopes, *ends, strict=True):
-                slope = (high - low) * inverse
-                row[:] = [s + slope * d for s, d in zip(row, x.slopes, strict=True)]
-        return tuple(_dual(x, row) for x, row in zip(found, slopes, strict=True))
+                row.append((x, (high - low) * inverse))
+        found = functions.opaque(function, results, values, like)
+        return tuple(_through(x, *row) for x, row in zip(found, slopes, strict=True))
 
     @classmethod
     def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
@@ -169,10 +147,23 @@ class Dual(Composed):
         return _chained(formula, args[0]) if len(args) == 1 else formula(*args)
 
 
+def _through(result: Any, *slopes: tuple[Any, Any]) -> Any:
+    """The result of a function, from its derivatives by numbers."""
+    rows = [[by * slope for slope in x.slopes] for x, by in slopes if isinstance(x, Dual)]
+    return _dual(result, [sum(column[1:], column[0]) for column in zip(*rows, strict=True)])
+
+
+def _selected(result: Any, test: Any, a: Any, b: Any) -> Any:
+    """A choice of two numbers, from its value."""
+    size = next(len(x.slopes) for x in (a, b) if isinstance(x, Dual))
+    pairs = zip(*(getattr(x, "slopes", (0.0,) * size) for x in (a, b)), strict=True)
+    return _dual(result, [graph.choose(test, da, db) for da, db in pairs])
+
+
 def _chained(formula: Callable[..., Any], x: Dual) -> Any:
     """A function of one number by its derivative and the chain rule."""
     return mapped(
-        lambda y: x.through(y.value, y.slopes[0]) if isinstance(y, Dual) else y,
+        lambda y: _through(y.value, (x, y.slopes[0])) if isinstance(y, Dual) else y,
         formula(Dual(x.value, (1.0,))),
     )
 
@@ -185,10 +176,6 @@ def mapped(function: Callable[[Any], Any], values: Any) -> Any:
     return function(values)
 
 
-def _as_is(x: Any) -> Any:
-    return x if isinstance(x, Recorded) else float(x)
-
-
 def _dual(x: Any, slopes: Sequence[Any]) -> Any:
     """A dual number, or a plain one if no derivative remains."""
     if all(not isinstance(slope, Number) and slope == 0.0 for slope in slopes):
@@ -196,47 +183,20 @@ def _dual(x: Any, slopes: Sequence[Any]) -> Any:
     return Dual(x, tuple(slopes))
 
 
-def _size(values: Sequence[Any]) -> int:
-    return next(len(x.slopes) for x in values if isinstance(x, Dual))
-
-
-def _aligned(a: Any, b: Any) -> tuple[Any, Any, list[tuple[Any, Any]]]:
-    """(value of a, value of b, their derivatives pair by pair)."""
-    none = (0.0,) * _size((a, b))
-    da = a.slopes if isinstance(a, Dual) else none
-    db = b.slopes if isinstance(b, Dual) else none
-    return value(a), value(b), list(zip(da, db, strict=True))
-
-
-def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, Number) or isinstance(b, Number):
-        return isinstance(a, Number) and isinstance(b, Number) and a.at == b.at
-    return bool(a == b)
-
-
-def _quotient(a: Any, b: Any) -> Any:
-    x, y, pairs = _aligned(a, b)
-    result, inverse = x / y, 1.0 / y
-    if not isinstance(b, Dual):
-        return _dual(result, [da * inverse for da, _ in pairs])
-    return _dual(result, [(da - result * db) * inverse for da, db in pairs])
-
-
 def _applied(function: str, x: Any) -> Any:
     """A function of a number; for a known number evaluated by Python."""
     if isinstance(x, Number):
         return graph.apply(function, x)
-    return float(getattr(np, _NUMPY.get(function, function))(x))
+    return float(evaluated(Node(function, "", ()), [x]))
 
 
 def _raised(x: Any, power: Any) -> Any:
     return functions.raised(x, power) if isinstance(x, Number) else float(x) ** power
 
 
-_NUMPY = {"asin": "arcsin", "acos": "arccos"}
-
 # functions with their derivatives from x and f(x)
 _SLOPES: dict[str, Slope] = {
+    "abs": lambda x, f: graph.choose(x < 0.0, -1.0, 1.0),
     "sqrt": lambda x, f: 0.5 / f,
     "exp": lambda x, f: f,
     "log": lambda x, f: 1.0 / x,
@@ -251,20 +211,20 @@ _SLOPES: dict[str, Slope] = {
 
 def _sincos(formula: Callable[..., Any], x: Dual) -> tuple[Any, Any]:
     s, c = formula(x.value)
-    return x.through(s, c), x.through(c, -s)
+    return _through(s, (x, c)), _through(c, (x, -s))
 
 
 def _half(formula: Callable[..., Any], z: Dual) -> tuple[Any, Any]:
     """sin(θ/2)/θ by its polynomial; the derivative of cos(θ/2) by θ² is −¼ times it."""
     s, _ = _chained(formula, z)
     _, c = formula(z.value)
-    return s, z.through(c, -0.25 * value(s))
+    return s, _through(c, (z, -0.25 * value(s)))
 
 
 def _atan2(formula: Callable[..., Any], y: Any, x: Any) -> Any:
-    b, a, pairs = _aligned(y, x)
+    b, a = value(y), value(x)
     inverse = 1.0 / (a * a + b * b)
-    return _dual(formula(b, a), [(a * db - b * da) * inverse for db, da in pairs])
+    return _through(formula(b, a), (y, a * inverse), (x, -b * inverse))
 
 
 # kernels whose derivatives take fewer operations than those of their polynomials

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain
 from typing import Any
@@ -12,7 +13,7 @@ from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 #: least number of operations of a value that is kept in memory instead of being computed again
 _WORTH = 3
 #: operations that use a resource in memory, and its kind
-_RESOURCES = {"gather": "table", "opaque": "function"}
+_RESOURCES = {"row": "table", "opaque": "function"}
 
 
 class Flat:
@@ -26,18 +27,10 @@ class Flat:
         values = list(results)
         each = [kinds] * len(values) if isinstance(kinds, str) else list(kinds)
         ends = [number(graph, x, kind).at for x, kind in zip(values, each, strict=True)]
-        nodes = graph.nodes
-        uses: dict[int, int] = {}
-        live: set[int] = set()
-        todo = list(ends)
-        while todo:
-            i = todo.pop()
-            uses[i] = uses.get(i, 0) + 1
-            if i not in live:
-                live.add(i)
-                todo += operands(nodes[i])
-        made: dict[int, Node] = {}
-        for i in sorted(live):
+        nodes, made = graph.nodes, dict[int, Node]()
+        live = _live(dict(enumerate(nodes)), ends)
+        uses = Counter(chain(ends, *(operands(nodes[i]) for i in live)))
+        for i in live:
             made[i] = nodes[i]
             if nodes[i].op in ("+", "-"):
                 product = self._product(nodes, uses, i)
@@ -82,7 +75,7 @@ class Flat:
     @property
     def operations(self) -> int:
         """Floating-point operations; an fma counts as two, selections and comparisons as one."""
-        free = ("const", "in", "item", "cast", "lane")
+        free = ("const", "in", "item", "element", "cast", "lane")
         return sum(
             0 if n.op in free else 2 if n.op in ("fma", "fms", "fnma") else 1 for n in self.nodes
         )
@@ -131,13 +124,18 @@ def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
     return list(dict.fromkeys((_RESOURCES[n.op], n.args[0]) for n in nodes if n.op in _RESOURCES))
 
 
+def _live(nodes: Mapping[int, Node], ends: Sequence[int]) -> list[int]:
+    """The numbers of the operations that results need, in order."""
+    live = set(ends)
+    for i in sorted(nodes, reverse=True):
+        if i in live:
+            live.update(operands(nodes[i]))
+    return sorted(live)
+
+
 def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:
     """(operations that results need, results), renumbered; before by the keys of ``made``."""
-    live = set(ends)
-    for i in sorted(made, reverse=True):
-        if i in live:
-            live.update(operands(made[i]))
-    place = {i: k for k, i in enumerate(sorted(live))}
+    place = {i: k for k, i in enumerate(_live(made, ends))}
     nodes = [renamed(made[i], [place[k] for k in operands(made[i])]) for i in place]
     return nodes, [place[i] for i in ends]
 

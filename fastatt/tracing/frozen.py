@@ -101,37 +101,29 @@ def names_of(code: types.CodeType) -> set[str]:
 # what a function's code does, without running it
 
 
-_DOES = {
-    **dict.fromkeys(("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF"), "name"),
-    **dict.fromkeys(("STORE_ATTR", "DELETE_ATTR"), "the attribute, which changes"),
+_LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF")
+_CATCHES = ("POP_EXCEPT", "CHECK_EXC_MATCH", "WITH_EXCEPT_START")
+_TEXTS = ("str", "repr", "format", "ascii")
+_MAKES_TEXT = ("FORMAT_VALUE", "FORMAT_SIMPLE", "FORMAT_WITH_SPEC")
+#: by instructions; {} is the name that they are about
+_WRITES = {
+    **dict.fromkeys(("STORE_ATTR", "DELETE_ATTR"), "the attribute {}, which changes"),
     **dict.fromkeys(("STORE_GLOBAL", "DELETE_GLOBAL"), "the statement global"),
-    **dict.fromkeys(("POP_EXCEPT", "CHECK_EXC_MATCH", "WITH_EXCEPT_START"), "catches errors"),
-    **dict.fromkeys(("FORMAT_VALUE", "FORMAT_SIMPLE", "FORMAT_WITH_SPEC"), "text"),
-    "LOAD_BUILD_CLASS": "defines a class",
-}  # fmt: skip
+    **dict.fromkeys(("STORE_DEREF", "DELETE_DEREF"), "the statement nonlocal"),
+    "IMPORT_NAME": "the statement import",
+}
 
 
 @functools.lru_cache(maxsize=4096)
-def _suspects(code: types.CodeType) -> tuple[tuple[str, str, int], ...]:
-    """(what, name, line) of what code does that may not be followed or accepted."""
-    found: list[tuple[str, str, int]] = []
+def _instructions(code: types.CodeType) -> list[tuple[str, Any, int]]:
+    """(instruction, what it is about, line) of code, and of functions within it."""
+    found: list[tuple[str, Any, int]] = []
     for part in codes_of(code):
-        line, truth = part.co_firstlineno, False
+        line = part.co_firstlineno
         for x in dis.get_instructions(part):
-            line, op = (x.positions and x.positions.lineno) or line, x.opname
-            what = _DOES.get(op, "")
-            if op in ("STORE_DEREF", "DELETE_DEREF") and x.argval in code.co_freevars:
-                what = "the statement nonlocal"
-            elif op in ("LOAD_ATTR", "LOAD_METHOD") and x.argval == "random":
-                what = "random, which may differ from call to call"
-            elif op == "IMPORT_NAME" and x.argval.partition(".")[0] not in ("math", "numpy"):
-                what = "the statement import"
-            elif op == "IS_OP" and truth:
-                what = "`is` with True or False, which depends on the type"
-            truth = op == "LOAD_CONST" and isinstance(x.argval, bool)
-            if what:
-                found.append((what, str(x.argval), line))
-    return tuple(found)
+            line = (x.positions and x.positions.lineno) or line
+            found.append((x.opname, x.argval, line))
+    return found
 
 
 def check(function: types.FunctionType, *, texts: bool) -> None:
@@ -140,25 +132,27 @@ def check(function: types.FunctionType, *, texts: bool) -> None:
     With ``texts`` those that make texts are refused too; without, ``TraceError`` is raised for one
     that catches errors.
     """
-    code, values = function.__code__, function.__globals__
-    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
-    for what, name, line in _suspects(code):
-        at = code.co_filename, line
-        own = name in values or name in cells
-        is_text = what == "name" and not own and name in ("str", "repr", "format", "ascii")
-        if what == "text" or is_text:
-            if texts:
-                refuse("the text of a number", SAME, *at)
-        elif what == "name":
-            with contextlib.suppress(ValueError):  # a name without a value
-                value = cells[name].cell_contents if name in cells else values.get(name)
-                if is_source(value) or (not own and name in _READING):
-                    refuse(f"{name}, which may differ from call to call", SAME, *at)
-        elif not what.startswith(("catches", "defines")):
-            named = what.replace("attribute", f"attribute {name}")
-            refuse(named, OUTSIDE if what.startswith("the ") else SAME, *at)
-        elif not texts:
-            raise placed(f"{function.__name__} {what}", *at)
+    code, values, before = function.__code__, dict(function.__globals__), None
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+        with contextlib.suppress(ValueError):  # a name without a value
+            values[name] = cell.cell_contents
+    for op, name, line in _instructions(code):
+        at, builtin = (code.co_filename, line), op in _LOADS and name not in values
+        is_math = op == "IMPORT_NAME" and name.partition(".")[0] in ("math", "numpy")
+        is_own = op.endswith("_DEREF") and name not in code.co_freevars
+        if op in _WRITES and not is_math and not is_own:
+            refuse(_WRITES[op].format(name), OUTSIDE, *at)
+        if (builtin and name in _READING) or (op in _LOADS and is_source(values.get(name))):
+            refuse(f"{name}, which may differ from call to call", SAME, *at)
+        if op in ("LOAD_ATTR", "LOAD_METHOD") and name == "random":
+            refuse("random, which may differ from call to call", SAME, *at)
+        if op == "IS_OP" and isinstance(before, bool):
+            refuse("`is` with True or False, which depends on the type", SAME, *at)
+        if texts and (op in _MAKES_TEXT or (builtin and name in _TEXTS)):
+            refuse("the text of a number", SAME, *at)
+        if op in _CATCHES and not texts:
+            raise placed(f"{function.__name__} catches errors", *at)
+        before = name if op == "LOAD_CONST" else None
 
 
 def is_source(value: Any) -> bool:

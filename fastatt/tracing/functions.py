@@ -59,9 +59,10 @@ def larger(a: Any, b: Any) -> Any:
     return _made(a.graph, "larger", a.kind, a.at, b.at)
 
 
-def gather(table: int, index: Any, kind: str) -> Any:
-    """The number at a whole ``index`` (a number of double precision) of an array."""
-    return _made(index.graph, "gather", kind, table, index.at)
+def row(table: Any, index: Any, count: int) -> tuple[Any, ...]:
+    """Successive doubles of an array, from a whole ``index`` (a number of double precision) on."""
+    at = index.graph.add("row", "", table, count, index.at)
+    return tuple(_made(index.graph, "element", "double", at, k) for k in range(count))
 
 
 def lane(x: Number, k: int) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,15 +34,14 @@ class Graph:
 
     An operation on numbers of two precisions has the wider one. If the graph is ``narrow``, it has
     the narrower one, except for sums of values that depend on a time (``time``) and a time interval
-    (``span``). Sines of values that depend on a time are narrow too if the graph is ``many``, for
-    many bodies. A graph for machine code only may be ``native`` (``fastatt.tracing.native``). While
-    a graph is ``strict``, as for a user-defined function, 0 x, 0/x and x − x are operations, since
-    they are NaN for a NaN.
+    (``span``). Sines of values that depend on a time are narrow too. A graph for machine code only
+    may be ``native`` (``fastatt.tracing.native``). While a graph is ``strict``, as for a
+    user-defined function, 0 x, 0/x and x − x are operations, since they are NaN for a NaN.
     """
 
     def __init__(self, lanes: int = 0, *, native: bool = False) -> None:
         self.lanes, self.native = lanes, native
-        self.narrow = self.many = self.strict = False
+        self.narrow = self.strict = False
         self.nodes: list[Node] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._times: set[int] = set()
@@ -254,20 +254,18 @@ class Single(Number):
         return ctypes.c_float(x).value
 
 
-def both(a: Any, b: Any) -> Any:
-    """a and b, for conditions."""
+def _joined(op: str, a: Any, b: Any) -> Any:
+    """a and b, or a or b; a known one decides, or drops out."""
     for x, y in ((a, b), (b, a)):
         if isinstance(x, (bool, np.bool_)):
-            return y if x else False
-    return _condition(a.graph, "and", a.at, b.at)
+            return y if x == (op == "and") else bool(x)
+    return _condition(a.graph, op, a.at, b.at)
 
 
-def either(a: Any, b: Any) -> Any:
-    """a or b, for conditions."""
-    for x, y in ((a, b), (b, a)):
-        if isinstance(x, (bool, np.bool_)):
-            return True if x else y
-    return _condition(a.graph, "or", a.at, b.at)
+#: a and b, for conditions
+both = partial(_joined, "and")
+#: a or b, for conditions
+either = partial(_joined, "or")
 
 
 def negated(a: Any) -> Any:
@@ -288,8 +286,8 @@ class Condition:
     at: int
     graph: Graph
 
-    __and__ = __rand__ = both
-    __or__ = __ror__ = either
+    __and__ = __rand__ = lambda a, b: both(a, b)
+    __or__ = __ror__ = lambda a, b: either(a, b)
     __invert__ = negated
     __hash__ = None  # type: ignore[assignment]
 
@@ -339,21 +337,15 @@ def choose(test: Any, a: Any, b: Any) -> Any:
         return both(test, a) if b is test else either(both(test, a), both(negated(test), b))
     if (composed := composed_of(a, b)) is not None:
         return composed.chosen(test, a, b)
-    if isinstance(a, Number) or isinstance(b, Number):
-        a, b = _pair(a, b)
-        if a.at == b.at:
+    if not isinstance(a, Number) and not isinstance(b, Number):
+        if a is b or a == b:
             return a
-        return _made(a.graph, "select", a.kind, test.at, a.at, b.at)
-    if a is b:
-        return a
-    if not all(isinstance(x, (int, float, np.number)) for x in (a, b)):
-        raise TraceError(f"a choice between {type(a).__name__} and {type(b).__name__}")
-    if a == b:
-        return a
-    # two constants have the precision of the compared numbers
-    kind = _compared(test)
-    ends = [test.graph.add("const", kind, float(x)) for x in (a, b)]
-    return _made(test.graph, "select", kind, test.at, *ends)
+        if not all(isinstance(x, (int, float, np.number)) for x in (a, b)):
+            raise TraceError(f"a choice between {type(a).__name__} and {type(b).__name__}")
+        # two constants have the precision of the compared numbers
+        a = number(test.graph, a, _compared(test))
+    a, b = _pair(a, b)
+    return a if a.at == b.at else _made(a.graph, "select", a.kind, test.at, a.at, b.at)
 
 
 def _compared(test: Condition) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double
-from fastatt.tracing.mathematics import FORMULAS, formula_of
+from fastatt.tracing.mathematics import FORMULAS
 from fastatt.tracing.nodes import Node, Recorded
 from fastatt.tracing.source import evaluated, performed
 
@@ -28,14 +28,6 @@ ARITHMETIC: dict[str, Callable[..., Any]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
     "==": operator.eq, "!=": operator.ne,
 }  # fmt: skip
-#: about how many operations of a processor a function takes, if more than one
-_COSTS = (
-    dict.fromkeys("sin cos tan atan2 atan asin acos look".split(), 45)
-    | dict.fromkeys("exp log tanh sinh cosh log2 log10 // % fmod".split(), 20)
-    | dict.fromkeys(("const", "in", "item"), 0)
-)
-#: functions that operations are named by
-NAMES = frozenset({*FORMULAS, *"sqrt exp log tanh sinh cosh floor rint abs".split()})
 
 
 class Table:
@@ -62,11 +54,6 @@ class Kept(NamedTuple):
     results: tuple[int, ...]
 
     @property
-    def operations(self) -> int:
-        """About how many operations of a processor it takes."""
-        return sum(_COSTS.get(node.op, 1) for node in self.nodes)
-
-    @property
     def tables(self) -> dict[Any, Numbers]:
         """The tables that it reads."""
         found = (node.args[0] for node in self.nodes if node.op in ("gather", "look"))
@@ -90,12 +77,9 @@ def _replayed(node: Node, given: list[Any]) -> Any:
     if op == "gather":
         index, last = given[0], float(len(args[0].data) - 1)
         inside = graph.both(index >= 0.0, index <= last)
-        return functions.gather(args[0], Double(graph.choose(inside, index, 0.0)), "double")
+        return functions.row(args[0], Double(graph.choose(inside, index, 0.0)), 1)[0]
     if op == "look":
         return args[0].traced_at(*given)
     if op == "select":
         return graph.choose(*given)
-    if op in ("//", "%"):
-        return functions.divided(*given)[op == "%"]
-    formula = ARITHMETIC.get(op) or formula_of(op, len(given))
-    return formula(*given)  # type: ignore[misc]
+    return (ARITHMETIC.get(op) or FORMULAS[op])(*given)

@@ -8,26 +8,20 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from fastatt.tracing import functions, graph, nodes
-from fastatt.tracing.nodes import Recorded
+from fastatt.tracing import functions, graph
+from fastatt.tracing.nodes import LIBRARY, Recorded
 
 
 def kind_of(x: Any) -> Any:
     """``type(x)``: the precision of a number; for a constant a function that changes nothing."""
     if isinstance(x, Recorded):
         return x.precision()
-    return _float if isinstance(x, (float, int)) and not isinstance(x, bool) else type(x)
+    return as_float if isinstance(x, (float, int)) and not isinstance(x, bool) else type(x)
 
 
-def _float(x: Any = 0.0) -> Any:
+def as_float(x: Any = 0.0) -> Any:
+    """``float``, which leaves traced numbers as they are."""
     return x if isinstance(x, Recorded) else float(x)
-
-
-def formula_of(name: str, n_arguments: int) -> Callable[..., Any] | None:
-    """A function of ``math`` or ``numpy`` for traced numbers; None for an unknown one."""
-    name = {"fabs": "abs"}.get(name, name)
-    known = n_arguments == 1 and (name in nodes.LIBRARY or name in ("sqrt", "abs", "rint", "floor"))
-    return FORMULAS.get(name) or (functools.partial(graph.apply, name) if known else None)
 
 
 @functools.cache
@@ -48,14 +42,9 @@ def _best(better: Callable[[Any, Any], Any]) -> Callable[..., Any]:
 EXTREMES = {"min": _best(operator.lt), "max": _best(operator.gt)}
 
 
-def _extreme(better: Callable[[Any, Any], Any], k: int) -> Callable[[Any, Any], Any]:
-    """The second of two numbers if it is better, or if the k-th of them is NaN."""
-
-    def of_two(*pair: Any) -> Any:
-        is_nan = pair[k] != pair[k]
-        return graph.choose(graph.either(better(*pair[::-1]), is_nan), *pair[::-1])
-
-    return of_two
+def _extreme(better: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The second of two numbers if it is better or NaN."""
+    return lambda a, b: graph.choose(graph.either(better(b, a), b != b), b, a)  # noqa: PLR0124
 
 
 def _ceil(x: Any) -> Any:
@@ -97,6 +86,7 @@ def _sines(x: Any) -> tuple[Any, Any]:
 
 #: functions of numbers by their names in ``math`` and in functions of users
 FORMULAS: dict[str, Callable[..., Any]] = {
+    **{k: functools.partial(graph.apply, k) for k in (*LIBRARY, "sqrt", "abs", "rint", "floor")},
     **EXTREMES,
     "sin": lambda x: _sines(x)[0],
     "cos": lambda x: _sines(x)[1],
@@ -107,7 +97,6 @@ FORMULAS: dict[str, Callable[..., Any]] = {
     "atan2": lambda y, x: _kernel("atan2")(y, x),
     "log2": lambda x: graph.apply("log", x) * (1.0 / math.log(2.0)),
     "log10": lambda x: graph.apply("log", x) * (1.0 / math.log(10.0)),
-    "exp2": lambda x: graph.apply("exp", x * math.log(2.0)),
     "hypot": lambda x, y: graph.apply("sqrt", x * x + y * y),
     "sign": lambda x: graph.choose(x > 0.0, 1.0, graph.choose(x < 0.0, -1.0, x)),
     "copysign": _copysign,
@@ -115,8 +104,6 @@ FORMULAS: dict[str, Callable[..., Any]] = {
     "trunc": lambda x: graph.choose(x < 0.0, _ceil(x), graph.apply("floor", x)),
     "fmod": _fmod,
     "remainder": _remainder,
-    "minimum": _extreme(operator.lt, 1),
-    "maximum": _extreme(operator.gt, 1),
-    "fmin": _extreme(operator.lt, 0),
-    "fmax": _extreme(operator.gt, 0),
+    "minimum": _extreme(operator.lt),
+    "maximum": _extreme(operator.gt),
 }

@@ -59,7 +59,7 @@ def _of_phase(x: Any) -> tuple[Any, Any] | None:
 
     None unless the angle grows with time and its sine is needed in single precision.
     """
-    if not (isinstance(x, Double) and x.graph.narrow and x.graph.many and x.graph.of_time(x.at)[0]):
+    if not (isinstance(x, Double) and x.graph.narrow and x.graph.of_time(x.at)[0]):
         return None
     quarters = x * (2.0 / math.pi)
     k = apply("rint", quarters)

@@ -31,7 +31,8 @@ class Node(NamedTuple):
 #: for operations that are not arithmetic: which of their arguments are operations
 SPECIAL = {
     "const": slice(0), "in": slice(0), "gather": slice(1, None), "look": slice(1, None),
-    "opaque": slice(2, None), "lane": slice(1, None), "item": slice(1),
+    "row": slice(2, None), "opaque": slice(2, None), "lane": slice(1, None), "item": slice(1),
+    "element": slice(1),
 }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from fastatt.tracing.frozen import Freezer, guarded
 from fastatt.tracing.kept import ARITHMETIC, Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
-from fastatt.tracing.replacements import BUILTINS, known_names, replaced, unknown_in
+from fastatt.tracing.replacements import BUILTINS, each, known_names, replaced, unknown_in
 from fastatt.tracing.rewriting import rewritten
 from fastatt.tracing.unknown import Recorder, is_number, is_whole
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from fastatt.tracing.user import UserFunction
 
 MOST_PATHS = 512
+#: what changes no number
+_NEUTRAL = {"iadd": 0.0, "isub": 0.0, "imul": 1.0, "itruediv": 1.0}
 
 
 def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
@@ -36,35 +38,18 @@ def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], An
     return yes() if ARITHMETIC[op](a, b) else no()
 
 
-def _changed(
-    op: str, a: Any, b: Any, old: Callable[[], Any], value: Callable[[], Any], change: str
-) -> Any:
-    """The value of a name after ``if a op b: name change= value``."""
-    try:
-        before = old()
-    except Exception as error:
-        raise TraceError("a choice without a value before it") from error
-    if not change:
-        return _choose(op, a, b, value, lambda: before)
-    in_place, is_array = getattr(operator, change), type(before) is np.ndarray
+def _changed(op: str, a: Any, b: Any, change: str, old: Any, value: Callable[[], Any]) -> Any:
+    """``old`` after ``if a op b: old change= value()``; else 0 is added, or 1 a factor."""
+    in_place = getattr(operator, change)
     with contextlib.suppress(Exception):
-        if is_array or is_number(before):
-            held = before.copy() if is_array else before
-            made = _either(op, a, b, lambda: in_place(held, value()), lambda: before, alias=False)
-            if not is_array:
-                return made
-            before[...] = made
-            return before
-    return in_place(before, value()) if ARITHMETIC[op](a, b) else before
+        if type(old) is np.ndarray or (is_number(old) and not is_whole(old)):
+            none = lambda: np.full(np.shape(value()), _NEUTRAL[change])[()]  # noqa: E731
+            return in_place(old, _either(op, a, b, lambda: 1.0 * value(), none))
+    return in_place(old, value()) if ARITHMETIC[op](a, b) else old
 
 
-def _either(
-    op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any], *, alias: bool = True
-) -> Any:
-    """Both values as one. Raises an error unless they are numbers that ask nothing.
-
-    With ``alias``, an array that is chosen may have other names.
-    """
+def _either(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    """Both values as one. Raises an error unless they are numbers that ask nothing."""
     like = unknown_in(a, b)
     if like is None or np.ndim(a) or np.ndim(b):
         raise TraceError("a condition of known numbers, or of arrays")
@@ -77,22 +62,23 @@ def _either(
         values = yes(), no()
     finally:
         recorder.silent -= 1
-    made = _chosen(recorder, test, *values)
+
+    def chosen(x: Any, y: Any) -> Any:
+        if not (is_number(x) and is_number(y) and is_whole(x) == is_whole(y)):
+            raise TraceError("a choice of other values than numbers")
+        return recorder.choice(test, x, y)
+
+    arrays = [x for x in values if isinstance(x, np.ndarray)]
+    if not arrays:
+        made = chosen(*values)
+    elif len(arrays) == 1 or arrays[0].shape != arrays[1].shape:
+        raise TraceError("a choice of values of two shapes")
+    else:
+        made = each(chosen, *values)
+        # they may have other names
+        recorder.unchanged += [(x, x.copy()) for x in (made, *values) if x.dtype == object]
     recorder.chosen.add(test)
-    if alias and isinstance(made, np.ndarray):
-        recorder.unchanged += [(x, x.copy()) for x in (made, *values)]
     return made
-
-
-def _chosen(recorder: Recorder, test: int, a: Any, b: Any) -> Any:
-    if type(a) is type(b) is np.ndarray and a.dtype == b.dtype == object and a.shape == b.shape:
-        made = np.empty(a.shape, dtype=object)
-        for k in np.ndindex(a.shape):
-            made[k] = _chosen(recorder, test, a[k], b[k])
-        return made
-    if not (is_number(a) and is_number(b) and is_whole(a) == is_whole(b)):
-        raise TraceError("a choice of other values than numbers")
-    return recorder.choice(test, a, b)
 
 
 _SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__changed__": _changed}
@@ -102,12 +88,10 @@ class Followed(NamedTuple):
     """A function as operations."""
 
     kept: Kept
-    #: conditions with their answers, of each execution path
+    #: conditions with their answers, of each execution path; one of a choice is by itself
     paths: list[list[tuple[int, bool]]]
     #: conditions of which both sides are tried
     conditions: set[int]
-    #: those that no path asks, since both branches are operations
-    chosen: set[int]
     #: what runs in Python: not the function itself if Numba would compile what it calls
     function: Callable[..., Any]
 
@@ -126,6 +110,9 @@ def follow(function: Any, given: UserFunction) -> Followed:
 
 def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Followed:
     recorder, paths = Recorder(), list[list[tuple[int, bool]]]()
+    raised: Any = (TypeError, AttributeError, RecursionError, MemoryError)
+    # a name without a value is no error where it is only read to be kept
+    raised = (*raised, NameError) if predicated else raised
 
     def code(function: types.FunctionType) -> types.CodeType:
         code = function.__code__
@@ -140,7 +127,7 @@ def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Follow
         if len(paths) >= MOST_PATHS:
             raise TraceError(f"more than {MOST_PATHS} execution paths")
         recorder.begin(forced)
-        found = _path(lambda: given.in_a_row(made(*inputs)), recorder, given.results)
+        found = _path(lambda: given.in_a_row(made(*inputs)), recorder, given.results, raised)
         taken = list(recorder.answers.items())
         paths.append(taken)
         for k in reversed(range(len(forced), len(taken))):
@@ -155,18 +142,19 @@ def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Follow
         error = recorder.error
         text = f"{type(error).__name__}: {error}"
         raise TraceError(f"an error on every path, such as {text}") from error
-    asked = {at for path in paths for at, _ in path} | recorder.chosen
+    paths += [[(at, answer)] for at in recorder.chosen for answer in (True, False)]
+    conditions = {at for path in paths for at, _ in path} - recorder.guards
     beside = made if freezer.jitted else function
-    return Followed(kept, paths, asked - recorder.guards, recorder.chosen, beside)
+    return Followed(kept, paths, conditions, beside)
 
 
-def _path(run: Callable[[], Any], recorder: Recorder, results: int) -> list[Any]:
-    """The results of a path; NaN if it ends in an error."""
+def _path(run: Callable[[], Any], recorder: Recorder, results: int, raised: Any) -> list[Any]:
+    """The results of a path; NaN if it ends in an error that is not ``raised``."""
     try:
         found = list(run())
-    except (TypeError, AttributeError, RecursionError, MemoryError):
-        raise
     except Exception as error:
+        if isinstance(error, raised):
+            raise
         if "read-only" in str(error):
             raise RefusedError("an array from outside the function that it changes") from error
         recorder.error = error

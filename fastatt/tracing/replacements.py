@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from fastatt.tracing import frozen
-from fastatt.tracing.kept import NAMES
-from fastatt.tracing.mathematics import formula_of
-from fastatt.tracing.nodes import Recorded, RefusedError, TraceError
+from fastatt.tracing.mathematics import FORMULAS
+from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.unknown import Unknown, is_whole, whole
 
 #: operations of functions in math and NumPy with other names
@@ -24,7 +23,11 @@ _RENAMED = {
     "fabs": "abs", "fix": "trunc", "round": "rint", "around": "rint", "add": "+", "subtract": "-",
     "multiply": "*", "divide": "/", "floor_divide": "//", "mod": "%", "negative": "neg",
 }  # fmt: skip
-_TWO = {*"atan2 hypot copysign fmod remainder minimum maximum fmin fmax + - * / // %".split()}
+#: how many numbers an operation takes
+_COUNTS = {
+    **dict.fromkeys((*FORMULAS, "neg"), 1),
+    **dict.fromkeys("atan2 hypot copysign fmod remainder minimum maximum + - * / // %".split(), 2),
+}
 #: NumPy's functions that multiply, add, ask, or move elements
 _PASSED = frozenset((
     "append column_stack concatenate cross diag diagonal dot flip hstack inner matmul mean outer "
@@ -130,7 +133,7 @@ _OF_NUMPY: dict[str, Callable[..., Any]] = _BOTH | {
     "where": lambda test, x, y: each(lambda c, a, b: a if c else b, test, x, y),
     "max": _reduced("maximum"), "min": _reduced("minimum"), "power": _BOTH["pow"],
     "square": lambda x: each(lambda y: y * y, x), "reciprocal": lambda x: 1.0 / x,
-    "float64": lambda x: x,
+    "float64": lambda x: x, "remainder": lambda x, y: each(operator.mod, x, y),
     "deg2rad": _BOTH["radians"], "rad2deg": _BOTH["degrees"],
 }  # fmt: skip
 _OF_MATH: dict[str, Callable[..., Any]] = _BOTH | {
@@ -160,7 +163,7 @@ class Library:
             return _known(value, args, named)
         full = f"{self._module.__name__}.{name} of numbers that are not known beforehand"
         if isinstance(like, Recorded):
-            formula = None if named else formula_of(name, len(args))
+            formula = None if named else FORMULAS.get(_RENAMED.get(name, name))
             if formula is None:
                 raise TraceError(full)
             return formula(*args)
@@ -171,8 +174,8 @@ class Library:
             joins = name.endswith(("stack", "concatenate"))
             made = (objects(x) if isinstance(x, (tuple, list)) and not joins else x for x in args)
             return value(*made, **named)
-        op = "%" if name == "remainder" and not of_math else _RENAMED.get(name, name)
-        if named or len(args) != 1 + (op in _TWO) or not (op in NAMES or op in _TWO or op == "neg"):
+        op = _RENAMED.get(name, name)
+        if named or len(args) != _COUNTS.get(op):
             raise TraceError(full)
         return like.recorder.unknown(op, *args) if of_math else each(_of_numbers(op, value), *args)
 
@@ -261,11 +264,6 @@ class _Array(np.ndarray[Any, Any]):
             column = columns[(slice(None), *k)]
             made[k] = first.recorder.gather(column, place, whole=is_whole)
         return made if made.ndim else made[()]
-
-    def __setitem__(self, index: Any, value: Any) -> None:
-        if not self.flags.writeable:
-            raise RefusedError("an array from outside the function that it changes")
-        super().__setitem__(index, value)
 
     def copy(self, *_: Any) -> Any:
         return objects(self) if self.dtype == float else np.array(self)

@@ -39,41 +39,27 @@ def rewritten(code: types.CodeType, known: frozenset[str] | None = None) -> type
     """
     text, place = "".join(linecache.getlines(code.co_filename)), _place(code)
     try:
-        before = _codes(text, code.co_filename, changes=False, known=None).get(place, [])
-        after = _codes(text, code.co_filename, changes=True, known=known).get(place, [])
+        before = _codes(text, code.co_filename, changes=False, known=None)
+        after = _codes(text, code.co_filename, changes=True, known=known)
     except (SyntaxError, ValueError):
         return None
-    return after[0] if len(before) == len(after) == 1 and _same(before[0], code) else None
+    return after[place] if before.get(place) == code else None
 
 
 @functools.lru_cache(maxsize=256)
 def _codes(
     text: str, file: str, *, changes: bool, known: frozenset[str] | None
-) -> dict[Any, list[types.CodeType]]:
+) -> dict[Any, types.CodeType]:
     """The code of a file's functions, rewritten or not, by what tells them from each other."""
     tree = ast.parse(text)
     if changes:
         tree = (_InKernels() if known is None else _InFunctions(known, tree)).visit(tree)
-    found: dict[Any, list[types.CodeType]] = {}
-    for code in codes_of(compile(tree, file, "exec", dont_inherit=True)):
-        found.setdefault(_place(code), []).append(code)
-    return found
+    return {_place(code): code for code in codes_of(compile(tree, file, "exec", dont_inherit=True))}
 
 
 def _place(code: types.CodeType) -> Any:
     n = code.co_argcount + code.co_kwonlyargcount
     return code.co_name, code.co_firstlineno, code.co_varnames[:n], code.co_freevars
-
-
-def _same(a: types.CodeType, b: types.CodeType) -> bool:
-    """Whether two codes do the same."""
-    if len(a.co_consts) != len(b.co_consts):
-        return False
-    names = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars")
-    return all(getattr(a, x) == getattr(b, x) for x in names) and all(
-        _same(x, y) if isinstance(y, types.CodeType) else repr(x) == repr(y)
-        for x, y in zip(a.co_consts, b.co_consts, strict=True)
-    )
 
 
 class _InKernels(ast.NodeTransformer):
@@ -94,27 +80,28 @@ class _InFunctions(ast.NodeTransformer):
 
     def visit_IfExp(self, e: ast.IfExp) -> Any:
         self.generic_visit(e)
-        fits = self._fits(e.test, e.body, e.orelse)
-        return _at(_choice("__choose__", e.test, e.body, e.orelse), e) if fits else e
+        if not self._fits(e.test, e.body, e.orelse):
+            return e
+        return _at(_choice("__choose__", e.test, _later(e.body), _later(e.orelse)), e)
 
     def visit_If(self, e: ast.If) -> Any:
         self.generic_visit(e)
         match e:
-            case ast.If(test, [ast.Assign([target], a)], [ast.Assign([other], b)]) if ast.dump(
-                target
-            ) == ast.dump(other):
-                return _at(ast.Assign([target], self.visit_IfExp(ast.IfExp(test, a, b))), e)
-            case ast.If(test, [ast.Assign([ast.Name() | ast.Subscript() as target], a)], []):
-                change = ""
-            case ast.If(test, [ast.AugAssign(target, op, a)], []) if type(op) in _CHANGES:
-                change = _CHANGES[type(op)]
+            case ast.If(_, [ast.Assign([target], a)], [ast.Assign([other], b)]):
+                if ast.dump(target) != ast.dump(other):
+                    return e
+            case ast.If(_, [ast.Assign([ast.Name() | ast.Subscript() as target], a)], []):
+                b = _read(target)
+            case ast.If(_, [ast.AugAssign(target, op, a)], []) if type(op) in _CHANGES:
+                old, name = _read(target), ast.Constant(_CHANGES[type(op)])
+                if not self._fits(e.test, old, a):
+                    return e
+                changed = _choice("__changed__", e.test, name, old, _later(a))
+                return _at(ast.Assign([target], changed), e)
             case _:
                 return e
-        old = ast.parse(ast.unparse(target), mode="eval").body
-        if not self._fits(test, old, a):
-            return e
-        made = _choice("__changed__", test, old, a, ast.Constant(change))
-        return _at(ast.Assign([target], made), e)
+        chosen = self.visit_IfExp(ast.IfExp(e.test, a, b))
+        return e if isinstance(chosen, ast.IfExp) else _at(ast.Assign([target], chosen), e)
 
     def _fits(self, test: ast.expr, *values: ast.expr) -> bool:
         """Whether a test is one comparison, and values can be evaluated on both of its sides."""
@@ -136,9 +123,14 @@ class _InFunctions(ast.NodeTransformer):
         return is_known and of_numbers and not x.keywords
 
 
-def _choice(name: str, test: Any, a: ast.expr, b: ast.expr, *more: ast.expr) -> ast.expr:
+def _choice(name: str, test: Any, *more: ast.expr) -> ast.expr:
     op = ast.Constant(_SYMBOLS[type(test.ops[0])])
-    return _call(name, op, test.left, test.comparators[0], _later(a), _later(b), *more)
+    return _call(name, op, test.left, test.comparators[0], *more)
+
+
+def _read(target: ast.expr) -> ast.expr:
+    """What is assigned to, as a value."""
+    return ast.parse(ast.unparse(target), mode="eval").body
 
 
 def _at(made: Any, where: ast.AST) -> Any:

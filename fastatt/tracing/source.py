@@ -8,95 +8,75 @@ from __future__ import annotations
 import ast
 import functools
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.nodes import COMPARISONS, LIBRARY, SPECIAL, Node, operands
+from fastatt.tracing.nodes import COMPARISONS, Node, operands
 
 _DEPTH = 5  # operations nested in one expression
 _LENGTH = 80  # characters of an expression beyond which it gets a separate line
-# operations that are not calls of functions, with the operands a, b and c
+# operations that are not calls of functions
 _FORMS = {
-    "fma": "a * b + c",
-    "fms": "a * b - c",
-    "fnma": "c - a * b",
-    "neg": "-a",
-    "and": "a & b",
-    "or": "a | b",
-    **{op: f"a {op} b" for op in ("+", "-", "*", "/", *COMPARISONS)},
+    "fma": "{0} * {1} + {2}",
+    "fms": "{0} * {1} - {2}",
+    "fnma": "{2} - {0} * {1}",
+    "neg": "-{0}",
+    "and": "{0} & {1}",
+    "or": "{0} | {1}",
+    **{op: f"{{0}} {op} {{1}}" for op in ("+", "-", "*", "/", *COMPARISONS)},
 }
-
-
-class _Operands(ast.NodeTransformer):
-    """Replaces the names a, b and c by expressions."""
-
-    def __init__(self, operands: Sequence[ast.expr]) -> None:
-        self._operands = operands
-
-    def visit_Name(self, e: ast.Name) -> Any:
-        return self._operands["abc".index(e.id)]
 
 
 class GraphText:
     """A graph as a Python function: ``names`` of its arguments, its ``lines``, its ``results``.
 
-    Intermediate values are named ``prefix`` and a number.
+    Intermediate values are named t1 and so on.
     """
 
-    def __init__(self, flat: Flat, prefix: str = "t") -> None:
-        self.flat, self.prefix = flat, prefix
-        self.names = _names(flat.inputs())
+    def __init__(self, flat: Flat) -> None:
+        self.names = ["".join(map(str, parts)) for parts in flat.inputs()]
         self.lines: list[str] = []
-        self._uses = _uses(flat)
-        self._made: list[tuple[ast.expr, int]] = []
-        given = iter(self.names)
+        given, made = iter(self.names), list[tuple[str, int]]()
+        uses = Counter(chain(flat.results, *map(operands, flat.nodes)))
         for i, node in enumerate(flat.nodes):
-            name = next(given) if node.op == "in" else None
-            self._made.append(self._line(i, *self._expression(node, name)))
-        self.results = [ast.unparse(self._made[i][0]) for i in flat.results]
+            if node.op in ("in", "const"):
+                made.append((next(given) if node.op == "in" else repr(node.args[0]), 0))
+                continue
+            taken = [made[k] for k in operands(node)]
+            text = _text(node, [x for x, _ in taken])
+            depth = 1 + max((d for _, d in taken), default=0)
+            if uses[i] > 1 or i in flat.results or depth == _DEPTH or len(text) > _LENGTH:
+                self.lines.append(f"t{len(self.lines) + 1} = {text}")
+                text, depth = f"t{len(self.lines)}", 0
+            made.append((text, depth))
+        self.results = [made[i][0] for i in flat.results]
 
     def __str__(self) -> str:
         return "\n".join([*self.lines, f"return {', '.join(self.results)}"])
 
-    def _line(self, i: int, made: ast.expr, depth: int) -> tuple[ast.expr, int]:
-        """An expression, or the name of the line that it gets."""
-        if depth == 0:
-            return made, 0
-        once = self._uses[i] == 1 and i not in self.flat.results
-        if once and depth < _DEPTH and len(ast.unparse(made)) <= _LENGTH:
-            return made, depth
-        name = f"{self.prefix}{len(self.lines) + 1}"
-        self.lines.append(f"{name} = {ast.unparse(made)}")
-        return ast.Name(name), 0
 
-    def _expression(self, node: Node, name: str | None) -> tuple[ast.expr, int]:
-        """(the expression of an operation, its depth)."""
-        op = node.op
-        if name is not None:
-            return ast.Name(name), 0
-        if op == "const":
-            return ast.Constant(node.args[0]), 0
-        taken = [self._made[i] for i in operands(node)]
-        depth = 1 + max((d for _, d in taken), default=0)
-        return self._operation(node, [x for x, _ in taken]), depth
-
-    def _operation(self, node: Node, args: list[ast.expr]) -> ast.expr:
-        op = node.op
-        if op in _FORMS:
-            form = ast.parse(_FORMS[op], mode="eval").body
-            return _Operands(args).visit(form)  # type: ignore[no-any-return]
-        if op == "item":
-            return ast.Subscript(args[0], ast.Constant(node.args[1]))
-        if op == "gather":
-            args = [ast.Name(f"table{getattr(node.args[0], 'digest', node.args[0])}"), *args]
-        elif op == "lane":
-            args = [ast.Constant(node.args[0]), *args]
-        name = _identifier(getattr(node.args[0], "name", "opaque")) if op == "opaque" else op
-        name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, name)
-        return call_of(name, *args)
+def _text(node: Node, given: Sequence[str]) -> str:
+    """An operation as an expression of its operands."""
+    op, args = node.op, node.args
+    if op in _FORMS:
+        text = _FORMS[op].format(*(f"({x})" for x in given))
+        return ast.unparse(ast.parse(text))  # without needless brackets
+    if op in ("item", "element"):
+        return f"{given[0]}[{args[1]}]"
+    if op == "row":
+        table, count = args[:2]
+        given = [f"table{getattr(table, 'digest', table)}", *given, str(count)]
+    elif op == "lane":
+        given = [str(args[0]), *given]
+    elif op == "opaque":
+        op = re.sub(r"\W", "_", getattr(args[0], "name", op))
+    name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, op)
+    return f"{name}({', '.join(given)})"
 
 
 def function(flat: Flat, tables: Mapping[Any, Any] | None = None) -> Callable[..., tuple[Any, ...]]:
@@ -139,11 +119,13 @@ def evaluated(node: Node, given: Sequence[Any], tables: Any = None, kind: Any = 
         return args[0]
     if op == "select" or all(type(x) is float for x in given):
         given = [kind(x) if type(x) is float else x for x in given]
-    if op == "item":
+    if op in ("item", "element"):
         return given[0][args[1]]
     if op == "gather":
-        table = np.ravel(args[0].data if tables is None else tables[args[0]])
-        return table[np.clip(np.nan_to_num(given[0]), 0, table.size - 1).astype(np.int64)]
+        return _taken(args[0].data, given[0])
+    if op == "row":
+        data = args[0].data if tables is None else tables[args[0]]
+        return [_taken(data, given[0] + k) for k in range(args[1])]
     if op == "look":
         return args[0].numbers_at(*given)
     if op == "lane":
@@ -157,6 +139,12 @@ def evaluated(node: Node, given: Sequence[Any], tables: Any = None, kind: Any = 
     return (_OPERATIONS.get(op) or getattr(np, op))(*given)
 
 
+def _taken(data: Any, index: Any) -> Any:
+    """The number of an array at a whole index, or the nearest that it has."""
+    table = np.ravel(data)
+    return table[np.clip(np.nan_to_num(index), 0, table.size - 1).astype(np.int64)]
+
+
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "neg": np.negative,
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal,
@@ -168,36 +156,3 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "min": lambda a, b: np.where(b < a, b, a), "max": lambda a, b: np.where(b > a, b, a),
     "remainder": lambda x, y: x - np.rint(x / y) * y,
 }  # fmt: skip
-#: functions in the text
-_FUNCTIONS = frozenset({
-    *LIBRARY, *SPECIAL, "abs", "double", "floor", "larger", "nan", "rint", "single", "sqrt", "where"
-})  # fmt: skip
-
-
-def _names(inputs: list[tuple[Any, ...]]) -> list[str]:
-    """A name for each input: ("q", 1) is q1."""
-    found: list[str] = []
-    for parts in inputs:
-        name = _identifier("".join(map(str, parts)))
-        while name in found or name in _FUNCTIONS or re.fullmatch(r"t\d+", name):
-            name += "_"
-        found.append(name)
-    return found
-
-
-def _identifier(name: str) -> str:
-    name = re.sub(r"\W", "_", name)
-    return name if name.isidentifier() else f"_{name}"
-
-
-def _uses(flat: Flat) -> list[int]:
-    uses = [0] * len(flat.nodes)
-    for node in flat.nodes:
-        for i in operands(node):
-            uses[i] += 1
-    return uses
-
-
-def call_of(name: str, *args: ast.expr) -> ast.expr:
-    """A call of a function by its name."""
-    return ast.Call(ast.Name(name), list(args), [])

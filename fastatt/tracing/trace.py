@@ -11,6 +11,7 @@ import builtins
 import functools
 import types
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from fastatt._numba import CPUDispatcher
@@ -34,14 +35,14 @@ _SCOPE = {
 }
 
 
-class ModuleProxy:
-    """Replaces a module by the replacements of its values."""
+class Traceable:
+    """A module with its functions for traced numbers; it is imported when one is first used."""
 
-    def __init__(self, module: types.ModuleType) -> None:
+    def __init__(self, module: str) -> None:
         self._module = module
 
     def __getattr__(self, name: str) -> Any:
-        value = self.__dict__[name] = stand_in(getattr(self._module, name))
+        value = self.__dict__[name] = stand_in(getattr(import_module(self._module), name))
         return value
 
 
@@ -54,7 +55,7 @@ def stand_in(value: Any) -> Any:
     if found is not None:
         return found
     if is_module:
-        return ModuleProxy(value)
+        return Traceable(value.__name__)
     return _lazily(value) if is_plain or isinstance(value, CPUDispatcher) else value
 
 

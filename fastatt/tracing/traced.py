@@ -41,10 +41,6 @@ class Traced(NamedTuple):
         """The resources of its graph in memory."""
         return resources_of(self.flat)
 
-    def spelled(self, resources: Sequence[tuple[str, Any]]) -> str:
-        """The whole computation as text, with tables and functions by their places."""
-        return repr((self.lanes, self.flat.spelled(resources)))
-
 
 def trace(
     formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = "", *,

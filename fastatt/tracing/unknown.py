@@ -8,18 +8,26 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from fastatt.tracing.graph import Graph
 from fastatt.tracing.kept import Table
-from fastatt.tracing.nodes import Node, TraceError
+from fastatt.tracing.nodes import TraceError
 
-MOST_ASKED, MOST_NODES = 200, 5000
+#: operations beyond which a function is called, since LLVM compiles more in minutes
+MOST_OPERATIONS, MOST_ASKED = 5000, 200
+#: about how many operations of a processor a function takes, if more than one
+_COSTS = (
+    dict.fromkeys(["sin", "cos", "tan", "atan2", "atan", "asin", "acos", "look"], 45)
+    | dict.fromkeys(["exp", "log", "tanh", "sinh", "cosh", "log2", "log10", "//", "%", "fmod"], 20)
+    | dict.fromkeys(("const", "in", "item"), 0)
+)
 
 
 class Recorder:
     """Operations that are recorded, and the answers of the current path."""
 
     def __init__(self) -> None:
-        self.nodes: list[Node] = []
-        self._known: dict[Any, int] = {}
+        self._graph, self._cost = Graph(), 0
+        self.nodes = self._graph.nodes
         #: conditions that are not asked, since both branches are recorded
         self.chosen: set[int] = set()
         #: conditions without which Python raises an error
@@ -39,14 +47,11 @@ class Recorder:
 
     def add(self, op: str, *args: Any) -> int:
         """The number of an operation, which is added if it is new."""
-        key = (op, *map(float.hex, args)) if op == "const" else (op, *args)
-        found = self._known.get(key)
-        if found is None:
-            if len(self.nodes) >= MOST_NODES:
-                raise TraceError(f"more than {MOST_NODES} operations")
-            found = self._known[key] = len(self.nodes)
-            self.nodes.append(Node(op, "", args))
-        return found
+        n, at = len(self.nodes), self._graph.add(op, "", *args)
+        self._cost += _COSTS.get(op, 1) * (len(self.nodes) - n)
+        if self._cost > MOST_OPERATIONS:
+            raise TraceError(f"more than {MOST_OPERATIONS} operations")
+        return at
 
     def number(self, x: Any) -> int:
         """The number of the operation that gives x."""

@@ -24,9 +24,6 @@ from fastatt.tracing.nodes import Recorded, RefusedError, TraceError
 from fastatt.tracing.paths import follow
 from fastatt.tracing.unknown import Unknown
 
-#: operations of a function beyond which it is called, since LLVM compiles more in minutes
-MOST_OPERATIONS = 5000
-
 
 class Signature(NamedTuple):
     """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
@@ -177,9 +174,6 @@ class UserFunction:
 
     def _follow(self, params: NDArray[np.float64] | None) -> None:
         found = follow(self._function, self)
-        if found.kept.operations > MOST_OPERATIONS:
-            n = found.kept.operations
-            raise TraceError(f"{n} operations; at most {MOST_OPERATIONS} are followed")
         spans = [x.span for x in found.kept.tables if hasattr(x, "span")]
         self.usual = trial.points(self._arguments, params, *spans[:1])
         trial.check(found, self._arguments, self.usual, self._beside(found.function))
@@ -198,10 +192,10 @@ class UserFunction:
 
     def in_a_row(self, result: Any) -> Sequence[Any]:
         """The numbers of a result; raises ``RefusedError`` for another form."""
-        states, sizes, parts = self.form.states, [self.results], [result]
-        if states:
-            sizes = [self.results - states, states]
-            parts = list(result) if isinstance(result, (tuple, list)) else []
+        states = self.form.states
+        sizes = [self.results - states, states] if states else [self.results]
+        is_row = isinstance(result, (tuple, list))
+        parts = [result] if not states else list(result) if is_row else []
         found = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
         row, kinds = [x for part in found for x in part], (Unknown, float, int, np.number, np.bool_)
         if [*map(len, found)] != sizes or not all(isinstance(x, kinds) for x in row):
@@ -289,10 +283,11 @@ class UserFunction:
     def call(self, *args: Any) -> Any:
         """Its result for numbers of a graph: 3 numbers, or one for a potential.
 
-        The time derivatives of its states follow, if it has states. A function that is called
-        computes in double precision.
+        Of the arguments it takes as many as it has, parameters last. The time derivatives of its
+        states follow, if it has states. A function that is called computes in double precision.
         """
-        numbers = graph.flattened(args)
+        *before, p = args
+        numbers = graph.flattened([*before[: len(self.form.before)], p])
         like = next((x for x in numbers if isinstance(x, Recorded)), None)
         if self.kept is not None:
             with graph.strictly(numbers):
@@ -302,11 +297,6 @@ class UserFunction:
         else:
             found = functions.opaque(self, self.results, numbers, like)  # type: ignore[arg-type]
         return found if self.results > 1 else found[0]
-
-    def given(self, *args: Any) -> Any:
-        """``call`` with as many of the arguments as it takes, parameters last."""
-        *before, p = args
-        return self.call(*before[: len(self.form.before)], p)
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
         """The result of the compiled function, for all its arguments' numbers in a row."""

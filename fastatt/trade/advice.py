@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,21 +14,101 @@ from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
-from fastatt.threads import progress_bar
 from fastatt.trade.measure import Case
-from fastatt.trade.recommendation import Recommendation
-from fastatt.trade.search import SINGLE, Search, work
+from fastatt.trade.search import Point, Search
 from fastatt.trade.work_precision import DTYPES, cases_of, problem_over
 
 #: methods that were on the frontier for some measured scene; others are tried only if named
 USUAL = {
     "rate": ("lie_midpoint", "rk4", "magnus4", "magnus6", "magnus8", "gauss12"),
     "free": ("exact", "strang2", "rk4", "dmv10", "kahan_li8"),
-    "torqued": (
-        "exact", "strang2", "rk4", "rk8", "rk9", "gbs16", "kahan_li8",
-    ),
-}  # fmt: skip
+    "torqued": ("exact", "strang2", "rk4", "rk8", "rk9", "gbs16", "kahan_li8"),
+}
 _HOPELESS = 6.0  # a case with this many times the estimated work of the best is not tried
+_SINGLE = 1e-6  # rad; float32 is never that accurate
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """A method, step size and precision with what was measured, as :func:`recommend` returns them.
+
+    Attributes
+    ----------
+    method, representation, dtype : str
+        The recommended case.
+    dt : float
+        Step size, s.
+    n_steps : int
+        Number of steps.
+    t0 : float
+        Time of the initial state, s.
+    expected_error : float
+        Largest angle, rad, when the recommendation was run on ``measured`` bodies. It includes the
+        error of the reference. The closed form "exact" in float64 is its own reference: then it is
+        the estimated rounding error of the closed form, and the text says "estimated".
+    expected_seconds : float
+        Time of the whole call to ``propagate``, s.
+    runner_up : Point or None
+        The second-best case, with its ``n_steps``, ``error`` and ``seconds``.
+    limited_by : {"truncation", "round-off", "reference"}
+        "truncation" if a smaller step size would be more accurate, and "reference" if the error of
+        the reference hides whether it would.
+    tol : float
+        The tolerance, rad.
+    n_bodies : int
+        Number of bodies.
+    measured : int
+        Number of bodies that were run.
+    reference : str
+        The reference of the errors.
+    reference_error : float
+        Error of the reference, rad.
+    case : Case
+        The method, also a custom one, and the representation.
+    """
+
+    method: str
+    representation: str
+    dtype: str
+    dt: float
+    n_steps: int
+    t0: float
+    expected_error: float
+    expected_seconds: float
+    runner_up: Point | None
+    limited_by: str
+    tol: float
+    n_bodies: int
+    measured: int
+    reference: str
+    reference_error: float
+    case: Case = field(repr=False)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments for :func:`fastatt.propagate`, without threads and saves."""
+        return {**self.case._asdict(), "dt": self.dt, "n_steps": self.n_steps, "t0": self.t0}
+
+    def __str__(self) -> str:
+        how = f"{self.n_steps} steps of {self.dt:.6g} s"
+        # a closed form in double precision is its own reference
+        is_reference = self.case.record.is_exact and self.dtype == "float64"
+        how_known = "estimated" if is_reference else "measured"
+        over = f"{how_known} over {self.measured} of {self.n_bodies} bodies"
+        time = self.expected_seconds
+        lines = [
+            f"{self.case}: {how} (tol {self.tol:g})",
+            f"  error      {self.expected_error:.1e} rad at most over the run, {over}; limited by "
+            + self.limited_by,
+            f"  time       {f'{time:.3g} s' if time >= 0.1 else f'{time * 1e3:.3g} ms'}",
+        ]
+        if up := self.runner_up:
+            margin = up.seconds / time
+            lines.append(f"  runner-up  {up.case}, {up.n_steps} steps: {margin:.2f} times as long")
+        lines.append(
+            f"  reference  {self.reference}, with an error of {self.reference_error:.1e} rad"
+        )
+        return "\n".join(lines)
 
 
 def recommend(
@@ -40,14 +122,12 @@ def recommend(
     r0: ArrayLike | None = None,
     s0: ArrayLike | None = None,
     t0: float = 0.0,
-    at: str = "run",
     methods: Sequence[str | Method] | None = None,
     representations: Sequence[str] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 128,
     n_threads: int | None = None,
     rng: int | np.random.Generator = 0,
-    progress: bool = False,
 ) -> Recommendation:
     """Recommend the method, step size and precision that meet a tolerance in the shortest time.
 
@@ -64,8 +144,9 @@ def recommend(
     t_end : float
         Time of the end, s, after ``t0``. It is a whole number of the recommended steps away.
     tol : float
-        Largest error of any body, rad, above 0. If only some bodies were run, their error is at
-        most tol/1.5, as a margin for the others.
+        Largest error of any body, rad, above 0, after each step or, for more than 1024 steps,
+        after the first ones and at as many equally spaced times. If only some bodies were run,
+        their error is at most tol/1.5, as a margin for the others.
     v0 : array_like of shape (3,) or (N, 3), optional
         Initial velocities along body axes, m/s.
     r0 : array_like of shape (3,) or (N, 3), optional
@@ -74,9 +155,6 @@ def recommend(
         Initial values of the scene's states.
     t0 : float, default 0.0
         Time of the initial state, s.
-    at : {"run", "end"}, default "run"
-        Where errors are measured: over the run, after each step or, for more than 1024 steps, after
-        the first ones and at as many equally spaced times; or at the end only.
     methods : sequence of str or Method, optional
         Methods to choose from. The default is those that are the fastest for some scene;
         the message of an unknown one lists all.
@@ -91,8 +169,6 @@ def recommend(
         Number of threads, as in :func:`fastatt.propagate`.
     rng : int or numpy.random.Generator, default 0
         Random generator, or a seed for one, which chooses bodies.
-    progress : bool, default False
-        Show a progress bar, which needs tqdm.
 
     Returns
     -------
@@ -143,19 +219,29 @@ def recommend(
     cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if methods is None:
         cases = _hopeful(cases, tol)
-    search = Search(
-        whole,
-        checks.choice("at", at, ("run", "end")),
-        checks.whole("sample", sample, 1),
-        np.random.default_rng(rng),
-        tol,
-    )
-    with progress_bar(progress, len(cases), "case") as done:
-        return search.cheapest(cases, done)
+    size = checks.whole("sample", sample, 1)
+    search = Search(whole, size, np.random.default_rng(rng), tol)
+    best, *others = search.fastest(sorted(cases, key=lambda case: _work(case, tol)))
+    case, n = best.case, best.n_steps
+    return Recommendation(
+        method=case.name, representation=case.representation, dtype=case.dtype,
+        dt=whole.duration / n, n_steps=n, t0=whole.t0,
+        expected_error=best.error, expected_seconds=best.seconds,
+        limited_by=search.limit(case, n), runner_up=others[0] if others else None,
+        tol=tol, n_bodies=ensemble.size, measured=best.measured,
+        reference=search.known.source, reference_error=float(search.known.error.max()),
+        case=case,
+    )  # fmt: skip
+
+
+def _work(case: Case, tol: float) -> float:
+    """An estimate of the work for a tolerance: tol^(−1/order) evaluations and exponentials."""
+    m = case.record
+    return max(1, m.rate_calls + m.exponentials) * tol ** (-1.0 / m.order) if m.order else 0.0
 
 
 def _hopeful(cases: Sequence[Case], tol: float) -> list[Case]:
     """Cases without those whose order or precision is far too low for a tolerance."""
-    least = min((work(c, tol) for c in cases if c.record.order), default=0.0)
-    kept = [c for c in cases if work(c, tol) <= _HOPELESS * least]
-    return [c for c in kept if c.dtype == "float64" or tol >= SINGLE] or kept
+    least = min((_work(c, tol) for c in cases if c.record.order), default=0.0)
+    kept = [c for c in cases if _work(c, tol) <= _HOPELESS * least]
+    return [c for c in kept if c.dtype == "float64" or tol >= _SINGLE] or kept

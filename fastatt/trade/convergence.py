@@ -49,13 +49,12 @@ class ConvergenceCheck:
         Observed order; None if rounding hides it, in the run itself (``limited_by`` "round-off") or
         in the one with half the step size ("truncation"), or if all steps were too large ("step").
     error : float
-        Largest angle between the run and the finest one, rad, over the run or at its end.
+        Largest angle between the run and the finest one, rad, after each step or, for more than
+        1024 steps, after the first ones and at as many equally spaced times.
     divided : int
         Ratio of the numbers of steps of the finest run and of this run.
     limited_by : str
         What limits the error: "truncation", "round-off" or "step".
-    norm : float
-        Largest norm error ``||q| − 1|`` or ‖C Cᵀ − 1‖.
     measured : int
         Number of bodies in the sample.
     n_bodies : int
@@ -72,7 +71,6 @@ class ConvergenceCheck:
     error: float
     divided: int
     limited_by: str
-    norm: float
     measured: int
     n_bodies: int
     passed: bool
@@ -82,7 +80,7 @@ class ConvergenceCheck:
         return (
             f"{self.method}: {order}, declared {self.declared}; error {self.error:.1e} rad at most "
             f"over {self.measured} of {self.n_bodies} bodies, against a run with {self.divided} "
-            f"times as many steps, limited by {self.limited_by}; norm error {self.norm:.1e}"
+            f"times as many steps, limited by {self.limited_by}"
         )
 
 
@@ -102,7 +100,6 @@ def check_convergence(
     n_threads: int | None = None,
     t0: float = 0.0,
     sample: int = 64,
-    at: str = "run",
 ) -> ConvergenceCheck:
     """Measure the order and the error of a run by halving its step size on a sample of its bodies.
 
@@ -135,10 +132,7 @@ def check_convergence(
     t0 : float, default 0.0
         Time of the initial state, s.
     sample : int, default 64
-        Number of bodies: the fastest, the slowest and others that are chosen at random.
-    at : {"run", "end"}, default "run"
-        Where attitudes are compared: over the run, after each step or, for more than 1024 steps,
-        after the first ones and at as many equally spaced times; or at the end only.
+        Number of bodies, half of them the fastest, the others chosen at random.
 
     Returns
     -------
@@ -192,54 +186,57 @@ def check_convergence(
         )
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
     rows = spread(whole, checks.whole("sample", sample, 1), np.random.default_rng(0))
-    most = times_compared(checks.choice("at", at, ("run", "end")), rows.size)
-    ladder = Ladder(whole.take(rows), Case(record, representation, kind), count, most)
-    order = _order_of(ladder, declared := record.order_of(scene.kind))
-    passed = declared == 0 or order is None or order >= declared - _SLACK
-    jump = forcing(ladder.problem, ladder.case, count).jump if passed and record.is_stepped else ""
-    worst = float(largest_angle(ladder.start.q, ladder.sight.q).max())
+    case = Case(record, representation, kind)
+    ladder = Ladder(whole.take(rows), case, count, times_compared(rows.size))
+    declared = record.order_of(scene.kind)
+    order = _order_of(ladder, declared)
+    error = float(largest_angle(ladder.start.q, ladder.sight.q).max())
     first, *others = (float(change.max()) for change in ladder.changes)
-    hidden = "truncation" if first > _CLEAR * max(others) else "round-off"
-    is_unresolved = False
-    if passed and record.is_stepped and ladder.worst() <= LARGE and not jump:
-        apart = float(ladder.apart().max())
-        if apart > _UNRESOLVED * max(ladder.worst(), ladder.floor):
-            # at corners, which dt meets, the difference falls with more steps
-            is_unresolved = float(ladder.apart(1.54).max()) >= 0.7 * apart
-    if is_unresolved:
-        order, worst = None, max(worst, apart)
-    if worst > LARGE or is_unresolved:
-        hidden = "step"
-    check = ConvergenceCheck(
-        method=record.name,
-        declared=declared,
-        order=order,
-        error=worst,
-        divided=2 ** len(ladder.changes),
-        limited_by=hidden if order is None else "truncation",
-        norm=float(np.abs(ladder.start.run.norm_error).max()),
-        measured=rows.size,
-        n_bodies=ensemble.size,
-        passed=passed and not jump and not is_unresolved,
-    )
+    is_rounded = order is None and first <= _CLEAR * max(others)
+    limited_by = "round-off" if is_rounded else "truncation"
+    if order is None and error > LARGE:
+        limited_by = "step"
     why = ""
-    if jump:  # two step sizes may have the same error at a jump by chance
-        why = f"; but {jump}"
-    elif is_unresolved:
-        why = (
-            ". A step size that is no whole fraction of dt gives another motion: the rate, torque "
-            "or force varies within a step; take smaller steps"
-        )
-    elif order is not None and not passed:
+    if declared and order is not None and order < declared - _SLACK:
         why = (
             f". Halving the step size divides the error by {2.0**order:.3g}, where order "
             f"{declared} predicts {2**declared}: a coefficient of the method is wrong, or the "
             "rate, torque or force is not smooth (declare its jumps and corners as "
             "Scene.breakpoints)"
         )
+    # two step sizes may have the same error at a jump by chance
+    elif record.is_stepped and (jump := forcing(ladder.problem, ladder.case, count).jump):
+        why = f"; but {jump}"
+    elif record.is_stepped and (apart := _unresolved(ladder)):
+        order, error, limited_by = None, max(error, apart), "step"
+        why = (
+            ". A step size that is no whole fraction of dt gives another motion: the rate, torque "
+            "or force varies within a step; take smaller steps"
+        )
+    check = ConvergenceCheck(
+        method=record.name,
+        declared=declared,
+        order=order,
+        error=error,
+        divided=2 ** len(ladder.changes),
+        limited_by=limited_by,
+        measured=rows.size,
+        n_bodies=ensemble.size,
+        passed=not why,
+    )
     if why:
         warnings.warn(f"{check}{why}", ConvergenceWarning, stacklevel=2)
     return check
+
+
+def _unresolved(ladder: Ladder) -> float:
+    """How far a run whose steps do not divide ``dt`` is from the others, rad; 0 if it is one."""
+    if ladder.worst() > LARGE:
+        return 0.0
+    apart = float(ladder.apart().max())
+    differs = apart > _UNRESOLVED * max(ladder.worst(), ladder.floor)
+    # at corners, which dt meets, the difference falls with more steps
+    return apart if differs and ladder.apart(1.54).max() >= 0.7 * apart else 0.0
 
 
 def _order_of(ladder: Ladder, declared: int) -> float | None:

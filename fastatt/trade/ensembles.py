@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -18,8 +16,7 @@ from fastatt.rounding import noted
 from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
 from fastatt.trade.measure import Case, Problem, Row, best_time, row_of
-from fastatt.trade.reference import Confirmation, Reference, confirm, coning_attitudes, reference
-from fastatt.trade.work_precision import case_rows, cases_of, fewest, ladder_rows
+from fastatt.trade.work_precision import Study, cases_of, coarsest
 
 SAMPLES = "samples"
 _STEPS = 2.5  # a second, of the grid of ladders
@@ -42,58 +39,46 @@ BODY_SCENES = {
 }
 
 
-@dataclass(frozen=True)
-class Study:
-    """An ensemble with a reference, and the end of another method that confirms it."""
+class OfSamples(Study):
+    """Methods for samples, which take coning rates at the ends of the steps."""
 
-    name: str
-    title: str
-    problem: Problem
-    known: Reference
-    check: Confirmation
-
-    def __str__(self) -> str:
-        n, duration = self.problem.ensemble.size, self.problem.duration
-        return f"{n} {self.title} over {duration:g} s; reference: {self.known.source}; {self.check}"
-
-    def steps(self, case: Case, per_doubling: int) -> list[int]:
-        """Numbers of steps of a case's ladder, from the coarsest that it allows on.
-
-        They are those of one grid for all cases, with 2.5 steps a second, and so many more for each
-        doubling.
-        """
-        least = 1 if case.record.window else fewest(self.problem, case)
-        coarsest = _STEPS * self.problem.duration
-        grid = [round(coarsest * 2.0 ** (k / per_doubling)) for k in range(-8, 14 * per_doubling)]
-        return [n for n in grid if n >= max(least, 4)]
-
-    def rows(self, case: Case, steps: Sequence[int], seconds: float = math.inf) -> list[Row]:
-        """A case in these numbers of steps, fewer if rounding dominates or the time is used up."""
-        if case.record.window is None:
-            return case_rows(
-                self.name, self.problem, self.known, self.check, case, _REPEATS,
-                steps=steps, seconds=seconds,
-            )  # fmt: skip
-        most = seconds / ((_REPEATS + 2) * self.problem.ensemble.size)
-        return ladder_rows(
-            lambda n: self._of_samples(case, n), steps, case, case.record.order, 0.0, most
-        )
-
-    def _of_samples(self, case: Case, n: int) -> Row:
-        """The row of a method for samples, from coning rates at the ends of n intervals."""
+    def row(self, case: Case, n: int) -> Row:
+        """A method in n intervals."""
         e, duration = self.problem.ensemble, self.problem.duration
         rate = e.scene.rate
-        data = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, duration, n + 1))
+        samples = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, duration, n + 1))
         with noted() as said:
             seconds, q = best_time(
-                lambda: integrate_rates(data, duration / n, e.q0, method=case.name), _REPEATS
+                lambda: integrate_rates(samples, duration / n, e.q0, method=case.name), self.repeats
             )
         status = "past the method's limit" if said else ""
         error = angle_between(q[:, -1], self.known.end.q)
         return row_of(self.name, case, duration, n, seconds, error, status=status)
 
 
+def steps(problem: Problem, case: Case, per_doubling: int) -> list[int]:
+    """Numbers of steps of a case's ladder, from the coarsest that it allows on.
+
+    They are those of one grid for all cases, with 2.5 steps a second, and so many more for each
+    doubling.
+    """
+    least = 4 if case.record.window else coarsest(problem, case)
+    middle = _STEPS * problem.duration
+    grid = [round(middle * 2.0 ** (k / per_doubling)) for k in range(-8, 14 * per_doubling)]
+    return [n for n in grid if n >= least]
+
+
 # coning
+
+
+def coning_attitudes(
+    angle: NDArray[np.float64], frequency: NDArray[np.float64], t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Exact attitudes (S, N, 4) of ``rates.Coning`` bodies at times t (S,)."""
+    phase = frequency * t[:, None]
+    c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+    columns = [c, s * np.cos(phase), s * np.sin(phase), 0.0 * phase]
+    return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
 def coning_rates(
@@ -151,9 +136,9 @@ SCENES = tuple(_ENSEMBLES)
 
 def study(name: str, n_bodies: int) -> Study:
     """The ensemble of a name in ``SCENES``, with a confirmed reference."""
-    bodies = problem(name, n_bodies)
-    known = reference(bodies)
-    return Study(name, _ENSEMBLES[name][0], bodies, known, confirm(bodies, known))
+    kind, bodies = OfSamples if name == SAMPLES else Study, problem(name, n_bodies)
+    title = f"{bodies.ensemble.size} {_ENSEMBLES[name][0]}"
+    return kind.of(name, title, bodies, _REPEATS)
 
 
 def problem(name: str, n_bodies: int) -> Problem:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.propagation.breakpoints import breaks_within
-from fastatt.scene.equations import Body, PrescribedRate, Structure
+from fastatt.scene.equations import Body, PrescribedRate, Structure, acceleration
 from fastatt.scene.torque_record import CoupledStates
-from fastatt.tracing.formulas import quat, scale
+from fastatt.tracing.formulas import quat
 from fastatt.trade.measure import Case, Problem
 
 _BODIES = 64  # bodies, evenly from the first to the last, and those with extreme numbers
@@ -150,6 +150,5 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: An
         inverse = zip(motion.half_inverse, torque[:3], strict=True)
         accelerations.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        force = structure.force.formula(t, q, w, v, r, s, p[n + 1 :])
-        accelerations.append(scale(p[n], tuple(force)))
+        accelerations.append(acceleration(structure.force, t, q, w, CoupledStates(v, r, s), p[n:]))
     return tuple(accelerations)

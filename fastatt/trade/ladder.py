@@ -19,9 +19,9 @@ LARGE, SATURATED = 0.3, 1.0
 _STATES = 2**20
 
 
-def times_compared(at: str, size: int) -> int:
-    """The number of times at which runs are compared: at the "end", or over the "run"."""
-    return 1 if at == "end" else int(np.clip(_STATES // size, 16, 1024))
+def times_compared(size: int) -> int:
+    """The number of times at which runs of so many bodies are compared."""
+    return int(np.clip(_STATES // size, 16, 1024))
 
 
 class Sight(NamedTuple):

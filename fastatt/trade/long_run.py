@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from fastatt.engine.status import Status
 from fastatt.trade.measure import Case, Problem, counted, drifts_of
 from fastatt.trade.reference import largest_rotation
-
-if TYPE_CHECKING:
-    from fastatt.plots import study
 
 #: rad; the rotation of the fastest body in a step
 ANGLE = 0.2
@@ -87,16 +84,13 @@ def ends(points: Iterable[Drifted]) -> list[Drifted]:
     return list({(x.input, x.method, x.representation, x.quantity): x for x in points}.values())
 
 
-def panels(points: Sequence[Drifted]) -> dict[str, list[study.Panel]]:
-    """A row of panels for each quantity of a scene, with a panel for each representation."""
+def draw(points: Sequence[Drifted], heading: str, path: Path) -> None:
+    """Draw drift against steps, a row for each quantity, a curve for each method."""
     from fastatt.plots import study
 
-    label = f"steps of {points[0].dt:.3g} s"
-    rows: dict[str, dict[str, study.Panel]] = {}
-    curve = attrgetter("quantity", "representation", "method")
-    for (quantity, name, method), drawn in groupby(points, curve):
+    curves = []
+    place = attrgetter("quantity", "representation", "method")
+    for (quantity, name, method), drawn in groupby(points, place):
         steps, drifts = zip(*((x.n_steps, x.drift) for x in drawn), strict=True)
-        row = rows.setdefault(LABELS[quantity], {})
-        panel = row.setdefault(name, study.Panel(study.NAMES[name], label, []))
-        panel.curves.append(study.Curve(method, steps, drifts))
-    return {quantity: list(row.values()) for quantity, row in rows.items()}
+        curves.append(study.Curve(LABELS[quantity], name, method, steps, drifts))
+    study.draw(curves, f"steps of {points[0].dt:.3g} s", heading, path)

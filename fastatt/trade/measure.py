@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
-from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +19,16 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.arrays import angle_between
 from fastatt.codegen.processor import processor
-from fastatt.engine.job import WIDTH, Job
 from fastatt.engine.status import Status
 from fastatt.files import write_csv
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.drift import drift
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.propagation.histories import threads_of
-from fastatt.propagation.inspect_step import job_of
 from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.rounding import noted
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads
-
-if TYPE_CHECKING:
-    from fastatt.plots import study
 
 _SAVES = 8  # saves at which the drift is measured
 PLATEAU, REFERENCE = "round-off", "reference"
@@ -110,23 +105,6 @@ class Problem:
         """The problem of some of the bodies."""
         return replace(self, ensemble=self.ensemble.take(rows))
 
-    def operations(self, case: Case) -> int | None:
-        """Floating-point operations of a step of one body; None without steps."""
-        if not case.record.is_stepped:
-            return None
-        scene = self.ensemble.scene
-        return _operations(job_of(scene, case.method, case.representation, case.dtype))
-
-    def threads(self, n_steps: int) -> int:
-        """The number of threads in use, at most one for each tile of bodies."""
-        size = self.ensemble.size
-        return min(threads_of(self.n_threads, size, n_steps), -(-size // WIDTH))
-
-
-@lru_cache(maxsize=256)
-def _operations(job: Job) -> int:
-    return job.formulas.operations
-
 
 def last_state(run: Trajectory) -> State:
     """The final attitudes, and the angular velocities that are part of the state."""
@@ -147,10 +125,10 @@ class Row:
         Step size, s.
     n_steps : int
         Number of steps.
-    error_median, error_p95, error_max : float
-        Angles at the end, rad: median, 95th percentile and largest of the bodies.
-    rate_error_median, rate_error_max : float or None
-        Errors of the angular velocity at the end, rad/s.
+    error_median, error_max : float
+        Angles at the end, rad: median and largest of the bodies.
+    rate_error_max : float or None
+        Largest error of the angular velocity at the end, rad/s.
     norm_error_max : float
         Largest ``||q| − 1|`` or ‖C Cᵀ − 1‖ over the run.
     energy_drift_max, momentum_drift_max : float or None
@@ -158,10 +136,6 @@ class Row:
         None if the scene does not conserve it.
     seconds_per_body : float
         Time for each body, s.
-    steps_per_second : float
-        Steps of all bodies in a second.
-    operations : int or None
-        Floating-point operations of a body's step; a fused multiply-add counts as two.
     order : float or None
         Order from the row before.
     plateau : str
@@ -178,16 +152,12 @@ class Row:
     dt: float
     n_steps: int
     error_median: float
-    error_p95: float
     error_max: float
-    rate_error_median: float | None
     rate_error_max: float | None
     norm_error_max: float = 0.0
     energy_drift_max: float | None = None
     momentum_drift_max: float | None = None
     seconds_per_body: float
-    steps_per_second: float
-    operations: int | None
     order: float | None = None
     plateau: str = ""
     status: str = ""
@@ -197,6 +167,11 @@ class Row:
         """The largest of the norm error and the drifts of energy and momentum."""
         every = self.norm_error_max, self.energy_drift_max, self.momentum_drift_max
         return max(x for x in every if x is not None)
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether no body has a flag."""
+        return not self.status and math.isfinite(self.error_max)
 
     @property
     def is_exact(self) -> bool:
@@ -212,8 +187,6 @@ def row_of(
     seconds: float,
     error: NDArray[np.float64],
     rate_error: NDArray[np.float64] | None = None,
-    *,
-    operations: int | None = None,
     **measured: Any,
 ) -> Row:
     """The row of one run without its order, from errors (N,) and the time for all bodies."""
@@ -225,13 +198,9 @@ def row_of(
         dt=duration / n_steps,
         n_steps=n_steps,
         error_median=float(np.median(error)),
-        error_p95=float(np.quantile(error, 0.95)),
         error_max=float(np.max(error)),
-        rate_error_median=None if rate_error is None else float(np.median(rate_error)),
         rate_error_max=None if rate_error is None else float(np.max(rate_error)),
         seconds_per_body=seconds / error.size,
-        steps_per_second=error.size * n_steps / seconds,
-        operations=operations,
         **measured,
     )
 
@@ -259,7 +228,6 @@ def measure(
         name, case, problem.duration, n_steps, seconds,
         angle_between(last.q, end.q),
         None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1),
-        operations=problem.operations(case),
         norm_error_max=float(np.abs(saved.norm_error).max()),
         status=counted(result.status_counts()),
         **{f"{name}_drift_max": float(values.max()) for name, values in drifts.items()},
@@ -319,35 +287,37 @@ def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float =
     return ordered
 
 
-#: heading, field, and the text of a value
-Column = tuple[str, str, Callable[[Any], str]]
-_COLUMNS: tuple[Column, ...] = (
-    ("input", "input", str),
-    ("method", "method", str),
-    ("rep", "representation", str),
-    ("dtype", "dtype", str),
-    ("dt, s", "dt", "{:.4g}".format),
-    ("median, rad", "error_median", "{:.2e}".format),
-    ("95 %", "error_p95", "{:.1e}".format),
-    ("max", "error_max", "{:.1e}".format),
-    ("w, rad/s", "rate_error_median", "{:.1e}".format),
-    ("max", "rate_error_max", "{:.1e}".format),
-    ("norm_error", "norm_error_max", "{:.1e}".format),
-    ("energy", "energy_drift_max", "{:.1e}".format),
-    ("momentum", "momentum_drift_max", "{:.1e}".format),
-    ("order", "order", "{:.2f}".format),
-    ("limit", "plateau", str),
-    ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
-    ("M steps/s", "steps_per_second", lambda x: f"{x / 1e6:.3g}"),
-    ("ops/step", "operations", str),
-    ("status", "status", str),
-)
+_POWER = "{:.1e}".format
+#: heading and text of a value, by the field or property of a row
+_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "input": ("input", str),
+    "method": ("method", str),
+    "representation": ("rep", str),
+    "dtype": ("dtype", str),
+    "quantity": ("quantity", str),
+    "dt": ("dt, s", "{:.4g}".format),
+    "error_median": ("median, rad", "{:.2e}".format),
+    "error_max": ("error, rad", _POWER),
+    "rate_error_max": ("w, rad/s", _POWER),
+    "norm_error_max": ("norm_error", _POWER),
+    "energy_drift_max": ("energy", _POWER),
+    "momentum_drift_max": ("momentum", _POWER),
+    "drift": ("drift", _POWER),
+    "growth": ("growth", str),
+    "seconds_per_body": ("µs/body", lambda x: f"{x * 1e6:.3g}"),
+    "order": ("order", "{:.2f}".format),
+    "plateau": ("limit", str),
+    "status": ("status", str),
+}
+#: the columns that tell methods apart
+BRIEF = "method", "representation", "dtype", "dt", "error_max", "drift", "seconds_per_body"
 
 
-def trade_table(rows: Sequence[Any], columns: Sequence[Column] = _COLUMNS) -> str:
-    """The rows as text, without empty columns."""
+def table(rows: Sequence[Any], names: Sequence[str] | None = None) -> str:
+    """The rows of one dataclass as text, all fields or those of ``names``, no empty columns."""
     texts = []
-    for head, name, text in columns:
+    for name in names or [f.name for f in fields(rows[0]) if f.name in _COLUMNS]:
+        head, text = _COLUMNS[name]
         values = [getattr(row, name) for row in rows]
         cells = ["" if value is None else text(value) for value in values]
         if any(cells):
@@ -364,8 +334,8 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
     smaller by a factor of 4 is better.
     """
     best: list[Row] = []
-    sound = [r for r in rows if not r.status and math.isfinite(r.error_max)]
-    for row in sorted(sound, key=lambda r: (r.seconds_per_body, r.error_max)):
+    sound = [row for row in rows if row.is_sound]
+    for row in sorted(sound, key=attrgetter("seconds_per_body", "error_max")):
         is_rounded = bool(best) and bool(row.plateau or best[-1].plateau)
         margin = _CLEAR if is_rounded else 1.0
         if not best or margin * row.error_max < best[-1].error_max:
@@ -373,38 +343,28 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
     return best
 
 
-def panels(rows: Sequence[Row], duration: float) -> dict[str, list[study.Panel]]:
-    """A labelled row of panels, one for each representation, with errors against times.
+def draw(rows: Sequence[Row], duration: float, heading: str, path: str | Path) -> None:
+    """Draw error against time, a panel for each representation, a curve for each method.
 
-    A panel has a curve for each method. Curves leave out rows with a flag, and end where rounding
-    limits the error. A method leads where it has a part of the frontier, of all methods or of those
-    that take steps.
+    Curves leave out rows with a flag, and end where rounding limits the error. A method leads where
+    it has a part of the frontier, of all methods or of those that take steps.
     """
     from fastatt.plots import study
 
-    label = f"time per body for {duration:g} s of motion, µs"
-    drawn: dict[str, dict[str, list[Row]]] = {}
-    for row in rows:
-        curves = drawn.setdefault(study.NAMES.get(row.representation, row.representation), {})
-        curve = curves.setdefault(row.method + " in float32" * (row.dtype == "float32"), [])
-        is_over = curve and curve[-1].plateau and 2.0 * row.error_max > curve[-1].error_max
-        if not (is_over or row.status) and math.isfinite(row.error_max):
+    curves: dict[tuple[str, str], list[Row]] = {}
+    for row in (row for row in rows if row.is_sound):
+        method = row.method + " in float32" * (row.dtype == "float32")
+        curve = curves.setdefault((row.representation, method), [])
+        if not (curve and curve[-1].plateau and 2.0 * row.error_max > curve[-1].error_max):
             curve.append(row)
-    shown = []
-    for title, curves in drawn.items():
-        every = [row for curve in curves.values() for row in curve]
-        best = [*frontier(every), *frontier(row for row in every if not row.is_exact)]
-        shown.append(study.Panel(title, label, [
-            study.Curve(
-                name,
-                [row.seconds_per_body * 1e6 for row in curve],
-                [row.error_max for row in curve],
-                any(row in best for row in curve),
-            )
-            for name, curve in curves.items()
-            if curve
-        ]))  # fmt: skip
-    return {"largest attitude error at the end, rad": shown}
+    drawn, label = [], "largest attitude error at the end, rad"
+    for (name, method), curve in curves.items():
+        beside = [row for row in rows if row.representation == name]
+        best = [*frontier(beside), *frontier(row for row in beside if not row.is_exact)]
+        times = [row.seconds_per_body * 1e6 for row in curve]
+        errors, leads = [row.error_max for row in curve], any(row in best for row in curve)
+        drawn.append(study.Curve(label, name, method, times, errors, leads))
+    study.draw(drawn, f"time per body for {duration:g} s of motion, µs", heading, path)
 
 
 def to_csv(path: str | Path, rows: Sequence[Any]) -> None:
@@ -420,11 +380,8 @@ def machine_line() -> str:
 
 def processor_line(n_threads: int | None = None) -> str:
     """The processor's name, after the number of threads where it is given."""
-    model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = info.read_text().splitlines()
-        names = [ln.split(":", 1)[1].strip() for ln in lines if ln.startswith("model name")]
-        model = names[0] if names else model
+    known = re.search(r"model name\s*: (.*)", info.read_text() if info.exists() else "")
+    model = known[1] if known else platform.processor() or platform.machine()
     threads = "" if n_threads is None else f"{n_threads} thread{'s' * (n_threads > 1)} of "
     return f"{threads}{model} ({processor().name})"

@@ -16,7 +16,7 @@ from fastatt.scene.scene import Scene, as_scene
 from fastatt.trade.forcing import forcing
 from fastatt.trade.measure import Case
 from fastatt.trade.reference import speeds
-from fastatt.trade.search import Met, Search
+from fastatt.trade.search import Point, Search
 from fastatt.trade.work_precision import name_of, problem_over
 
 _SIZES = 16  # the most different step sizes
@@ -159,12 +159,12 @@ def per_body_steps(
     size, chance = checks.whole("sample", sample, 1), np.random.default_rng(rng)
     groups = _groups(speeds(whole))
     steps = np.empty(ensemble.size, dtype=np.int64)
-    runs: list[Met] = []
+    runs: list[Point] = []
     for rows in groups:
         few = -(-size // len(groups))
-        search = Search(whole.take(rows), "run", few, chance, tol, len(groups))
+        search = Search(whole.take(rows), few, chance, tol, len(groups))
         runs.append(search.fewest(case))
-        steps[rows] = runs[-1].n
+        steps[rows] = runs[-1].n_steps
     # of the whole ensemble, with more samples than each search takes
     if jump := forcing(whole, case, int(steps.max())).jump:
         raise ValueError(f"scene: {jump}")

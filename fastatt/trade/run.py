@@ -14,9 +14,9 @@ from fastatt.gyro.integrate import methods_for_samples
 from fastatt.threads import default_threads, progress_bar
 from fastatt.trade import ensembles, long_run, measure, summary
 from fastatt.trade.advice import USUAL
-from fastatt.trade.ensembles import SCENES, Study
+from fastatt.trade.ensembles import SCENES
 from fastatt.trade.long_run import Drifted
-from fastatt.trade.measure import Case, Row, machine_line, processor_line, to_csv, trade_table
+from fastatt.trade.measure import Case, Row, machine_line, processor_line, table, to_csv
 
 # s for all that is measured, steps of long runs, their bodies, rungs of a ladder for each doubling
 _WHOLE = (100.0, 2**18, 32, 2)
@@ -57,16 +57,25 @@ def run_trade(
         for name, cases in plan.items():
             study = ensembles.study(name, n_bodies)
             headings[name] = str(study)
+            measured: list[Row] = []
+            drifts: list[Drifted] = []
             # a wide ensemble is for times, a few of its bodies for long runs
             small = ensembles.problem(name, few)
             for case in cases:
                 share = max(0.1, 0.7 * (until - perf_counter()) / left)
-                rows += study.rows(case, study.steps(case, per_doubling), share)
+                steps = ensembles.steps(study.problem, case, per_doubling)
+                measured += study.rows(case, steps, share)
                 if case.record.window is None:
-                    long += long_run.long_run(name, small, case, n_steps)
+                    drifts += long_run.long_run(name, small, case, n_steps)
                 left -= 1
                 done(1)
-            _draw(out, study, rows, long)
+            heading = f"{study.title}: error against time\n{processor_line(default_threads())}"
+            measure.draw(measured, study.problem.duration, heading, out / f"error-{name}.png")
+            if drifts:
+                heading = f"{study.title.partition(' ')[2]}: drift against time"
+                long_run.draw(drifts, heading, out / f"drift-{name}.png")
+            rows += measured
+            long += drifts
     where = f"{n_bodies} bodies, {machine_line()}"
     to_csv(out / "trade.csv", rows)
     to_csv(out / "drift.csv", long)
@@ -75,7 +84,7 @@ def run_trade(
     print(where)
     if verbose:
         for name, heading in headings.items():
-            print(f"\n{heading}\n{trade_table([row for row in rows if row.input == name])}")
+            print(f"\n{heading}\n{table([row for row in rows if row.input == name])}")
     print(summary.screen(rows, long))
     pictures = "error-SCENE.png, drift-SCENE.png"
     print(f"{out}: summary.md (how to read this), trade.csv, drift.csv, {pictures}")
@@ -85,8 +94,6 @@ def _plan(
     scenes: Sequence[str], methods: Sequence[str] | None, quick: bool
 ) -> dict[str, list[Case]]:
     """The cases of each scene, in the order of ``SCENES``."""
-    for name in scenes:
-        checks.choice("--scene", name, SCENES)
     every = {name: ensembles.cases(name) for name in SCENES if name in scenes}
     fitting = dict.fromkeys(case.name for cases in every.values() for case in cases)
     for method in methods or ():
@@ -95,17 +102,3 @@ def _plan(
     wanted = methods or (usual if quick else fitting)
     plan = {name: [c for c in cases if c.name in wanted] for name, cases in every.items()}
     return {name: cases for name, cases in plan.items() if cases}
-
-
-def _draw(out: Path, study: Study, rows: Sequence[Row], long: Sequence[Drifted]) -> None:
-    """The pictures of one ensemble."""
-    from fastatt.plots import study as pictures
-
-    measured = [row for row in rows if row.input == study.name]
-    drifts = [each for each in long if each.input == study.name]
-    n, duration = study.problem.ensemble.size, study.problem.duration
-    heading = f"{n} {study.title}: error against time\n{processor_line(default_threads())}"
-    pictures.draw(measure.panels(measured, duration), heading, out / f"error-{study.name}.png")
-    if drifts:
-        heading = f"{study.title}: drift against time"
-        pictures.draw(long_run.panels(drifts), heading, out / f"drift-{study.name}.png")

@@ -27,7 +27,7 @@ from operator import attrgetter
 from textwrap import wrap
 
 from fastatt.trade.long_run import Drifted, ends
-from fastatt.trade.measure import Column, Row, frontier, trade_table
+from fastatt.trade.measure import BRIEF, Row, frontier, table
 
 #: rad; errors at which methods are compared
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -35,29 +35,15 @@ _WIDTH = 100
 _STORED = ("quat", "dcm")
 #: what the screen shows: quantities that tell methods apart
 _SHOWN = (("coning", "norm"), ("free", "energy"), ("free", "momentum"), ("top", "energy"))
-BRIEF: tuple[Column, ...] = (
-    ("method", "method", str), ("rep", "representation", str), ("dtype", "dtype", str),
-    ("dt, s", "dt", "{:.4g}".format), ("error, rad", "error_max", "{:.1e}".format),
-    ("drift", "drift", "{:.0e}".format),
-    ("µs/body", "seconds_per_body", lambda x: f"{x * 1e6:.3g}"),
-)  # fmt: skip
-_LONG: tuple[Column, ...] = (
-    ("scene", "input", str), ("quantity", "quantity", str), ("rep", "representation", str),
-    ("method", "method", str), ("dt, s", "dt", "{:.3g}".format),
-    ("drift", "drift", "{:.1e}".format), ("growth", "growth", str), ("status", "status", str),
-)  # fmt: skip
 _LETTERS = {"bounded": "=", "random walk": "~", "linear": "/", "faster": "^"}
 #: how to read the results, as the page of the trade has it too
 COLUMNS = (__doc__ or "").partition("\n\n")[2].strip()
 
 
-def fastest(rows: Iterable[Row], target: float) -> list[Row]:
-    """The fastest row of each method that takes steps and meets a target, fastest first."""
+def fastest(rows: Iterable[Row], target: float) -> Row | None:
+    """The fastest row of a method that takes steps and meets a target, if there is one."""
     met = [r for r in rows if not (r.status or r.is_exact) and r.error_max <= target]
-    best: dict[str, Row] = {}
-    for row in sorted(met, key=attrgetter("seconds_per_body")):
-        best.setdefault(row.method, row)
-    return list(best.values())
+    return min(met, key=attrgetter("seconds_per_body"), default=None)
 
 
 def closed_form(rows: Iterable[Row]) -> Row | None:
@@ -81,15 +67,13 @@ def screen(rows: Sequence[Row], long: Sequence[Drifted]) -> str:
     half = f"{'method':<12} {'step, s':>8} {'µs':>8} {'drift':>7}"
     lines = [f"{'':<16} {'quaternion':<41} DCM", f"{'scene':<8} {'error':>7}  {half}     {half}"]
     for scene, stored in by_scene(rows).items():
-        exact = [closed_form(group) for group in stored.values()]
-        if any(exact):
-            cells = [_cell(row, stored) for row in exact]
-            lines.append(f"{scene:<8} {'any':>7}  {'     '.join(cells)}".rstrip())
+        best = {"any": [closed_form(group) for group in stored.values()]}
         for target in TARGETS:
-            best = [next(iter(fastest(group, target)), None) for group in stored.values()]
-            if any(best):
-                cells = [_cell(row, stored) for row in best]
-                lines.append(f"{scene:<8} {target:>7.0e}  {'     '.join(cells)}".rstrip())
+            best[f"{target:.0e}"] = [fastest(group, target) for group in stored.values()]
+        for error, found in best.items():
+            if any(found):
+                cells = "     ".join(_cell(row, stored) for row in found)
+                lines.append(f"{scene:<8} {error:>7}  {cells}".rstrip())
     return "\n".join([*lines, *_drifts(long)])
 
 
@@ -128,7 +112,7 @@ def page(title: str, headings: dict[str, str], rows: Sequence[Row], long: Sequen
     for scene, stored in by_scene(rows).items():
         best = [row for group in stored.values() for row in frontier(group)]
         text += f"\n## {scene}\n\n{headings[scene]}. The fastest way to each error:\n"
-        text += f"\n```text\n{trade_table(best, BRIEF)}\n```\n"
+        text += f"\n```text\n{table(best, BRIEF)}\n```\n"
     ranked = sorted(ends(long), key=lambda x: (x.input, x.quantity, x.representation, x.drift))
-    text += f"\n## Drift over long runs\n\n```text\n{trade_table(ranked, _LONG)}\n```\n"
+    text += f"\n## Drift over long runs\n\n```text\n{table(ranked)}\n```\n"
     return text

@@ -3,44 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
+from fastatt.arrays import angle_between
 from fastatt.attitudes import ATTITUDES
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.options import after
 from fastatt.scene.scene import Scene
-from fastatt.threads import default_threads, progress_bar
-from fastatt.trade.measure import (
-    Case,
-    Problem,
-    Row,
-    frontier,
-    machine_line,
-    measure,
-    panels,
-    processor_line,
-    to_csv,
-    trade_table,
-    with_orders,
-)
+from fastatt.threads import progress_bar
+from fastatt.trade import measure
+from fastatt.trade.measure import BRIEF, Case, Problem, Row, machine_line, table
 from fastatt.trade.reference import (
-    Confirmation,
     Reference,
-    confirm,
+    confirmation,
     largest_rotation,
     reference,
     speeds,
 )
-from fastatt.trade.summary import BRIEF, TARGETS, closed_form, fastest
+from fastatt.trade.summary import TARGETS, closed_form, fastest
 
 DTYPES = ("float64", "float32")
 # |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
@@ -50,7 +38,63 @@ _RUNGS = 14
 _SHORTEST = 1e-290
 # rad, after which rounding alone is some 1e-4 rad
 _FARTHEST = 1e12
-_EVALUATED = 1024  # bodies whose prescribed rate is evaluated for that
+
+
+@dataclass(frozen=True)
+class Study:
+    """Bodies with a reference, and another method that confirms it."""
+
+    name: str
+    title: str
+    problem: Problem
+    known: Reference
+    check: Reference
+    repeats: int
+
+    @classmethod
+    def of(cls, name: str, title: str, problem: Problem, repeats: int) -> Study:
+        """Run the reference and what confirms it."""
+        known = reference(problem)
+        return cls(name, title, problem, known, confirmation(problem, known), repeats)
+
+    @property
+    def apart(self) -> NDArray[np.float64]:
+        """The difference of the other method from the reference, (N,) rad."""
+        angles: NDArray[np.float64] = angle_between(self.check.end.q, self.known.end.q)
+        return np.nan_to_num(angles, nan=np.pi)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.title} over {self.problem.duration:g} s; reference: {self.known.source}, with "
+            f"an error of {self.known.error.max():.1e} rad; {self.check.source} differs from it by "
+            f"{self.apart.max():.1e} rad at most"
+        )
+
+    def rows(self, case: Case, steps: Sequence[int], seconds: float = math.inf) -> list[Row]:
+        """A case in rising numbers of steps, until rounding dominates or the time is used up.
+
+        The closed form has one row. If it is the reference itself, its error is measured against
+        what confirms it.
+        """
+        if case.record.is_exact:
+            steps = [1]
+        order = case.record.order_of(self.problem.ensemble.scene.kind)
+        unresolved = float(np.median(self.known.unresolved))
+        # runs of a body, s
+        most = seconds / ((self.repeats + 2) * self.problem.ensemble.size)
+        rows: list[Row] = []
+        for n in steps:
+            rows = measure.with_orders([*rows, self.row(case, n)], case, order, unresolved)
+            # the next run takes as long as all before it
+            used = 2.0 * sum(row.seconds_per_body for row in rows)
+            if most < math.inf and ((len(rows) > 2 and rows[-2].plateau) or used > most):
+                break
+        return rows
+
+    def row(self, case: Case, n: int) -> Row:
+        """A case in n steps."""
+        end = self.check.end if case.record.is_exact else self.known.end
+        return measure.measure(self.problem, end, case, n, self.repeats, self.name)
 
 
 @dataclass(frozen=True)
@@ -62,28 +106,12 @@ class WorkPrecision:
     rows : list of Row
         One row for each case and step size: method, representation, dtype, dt, errors (rad),
         seconds for each body, drift, observed order, status.
-    duration : float
-        Duration of the motion, s.
-    n_bodies : int
-        Number of bodies.
-    sampled : int
-        Number of bodies that were measured.
-    reference : str
-        The reference of the errors.
-    reference_error : float
-        Largest error of the reference over the sample, rad.
-    confirmation : str
-        The difference of another method from the reference.
+    study : Study
+        The bodies that were measured, and the reference of the errors.
     """
 
     rows: list[Row]
-    duration: float
-    n_bodies: int
-    sampled: int
-    reference: str
-    reference_error: float
-    confirmation: str
-    n_threads: int = field(default_factory=default_threads)
+    study: Study
 
     @property
     def frontier(self) -> list[Row]:
@@ -91,7 +119,7 @@ class WorkPrecision:
 
         Rows with a flag are left out, and differences by rounding do not count.
         """
-        return frontier(self.rows)
+        return measure.frontier(self.rows)
 
     def table(self) -> str:
         """Return all rows as a text table.
@@ -101,20 +129,17 @@ class WorkPrecision:
         str
             The table.
         """
-        return trade_table(self.rows)
+        return table(self.rows)
 
     def __str__(self) -> str:
-        exact = closed_form(self.rows)
-        best = [fastest(self.rows, target)[:1] for target in TARGETS]
-        shown = [*([exact] if exact else []), *(row for ranked in best for row in ranked)]
+        best = closed_form(self.rows), *(fastest(self.rows, target) for target in TARGETS)
+        shown = dict.fromkeys(row for row in best if row)
         return (
             f"{machine_line()}\n"
-            f"{self.sampled} of {self.n_bodies} bodies over {self.duration:g} s; reference: "
-            f"{self.reference}, with an error of {self.reference_error:.1e} rad; "
-            f"{self.confirmation}\n"
+            f"{self.study}\n"
             f"{len(self.rows)} rows (table() has all); the fastest at "
             f"{', '.join(f'{target:.0e}' for target in TARGETS)} rad:\n"
-            f"{trade_table(list(dict.fromkeys(shown)), BRIEF)}"
+            f"{table(list(shown), BRIEF)}"
         )
 
     def plot(self, path: str | Path) -> None:
@@ -125,12 +150,9 @@ class WorkPrecision:
         path : str or Path
             The picture.
         """
-        from fastatt.plots import study
-
-        kind = self.rows[0].input
-        title = f"{kind} scene, {self.sampled} of {self.n_bodies} bodies over {self.duration:g} s"
-        heading = f"{title}\n{processor_line(self.n_threads)}"
-        study.draw(panels(self.rows, self.duration), heading, path)
+        problem = self.study.problem
+        heading = f"{self.study.title}\n{measure.processor_line(problem.n_threads)}"
+        measure.draw(self.rows, problem.duration, heading, path)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the rows as CSV with a line of names.
@@ -140,7 +162,7 @@ class WorkPrecision:
         path : str or Path
             The file.
         """
-        to_csv(path, self.rows)
+        measure.to_csv(path, self.rows)
 
 
 def work_precision(
@@ -190,7 +212,7 @@ def work_precision(
     dtypes : sequence of str, default ("float64", "float32")
         Precisions to measure.
     sample : int, default 1024
-        Number of bodies: the fastest, the slowest, and others that are chosen at random.
+        Number of bodies, half of them the fastest, the others chosen at random.
     repeats : int, default 3
         Number of runs, of which the shortest time counts.
     max_seconds : float, default 60.0
@@ -234,23 +256,17 @@ def work_precision(
     cases = cases_of(scene, methods, representations, dtypes)
     whole = problem_over(ensemble, t_end, t0, n_threads)
     size = checks.whole("sample", sample, 1)
-    rows = spread(whole, size, np.random.default_rng(rng))
-    problem = whole.take(rows)
-    known = reference(problem)
-    check = confirm(problem, known)
-    checks.real("max_seconds", max_seconds)
-    measured: list[Row] = []
+    problem = whole.take(spread(whole, size, np.random.default_rng(rng)))
+    title = f"{problem.ensemble.size} of {ensemble.size} bodies ({scene.kind})"
+    study = Study.of(scene.kind, title, problem, repeats)
+    share = checks.real("max_seconds", max_seconds) / len(cases)
+    rows: list[Row] = []
     with progress_bar(progress, len(cases), "case") as done:
         for case in cases:
-            measured += case_rows(
-                scene.kind, problem, known, check, case, repeats, seconds=max_seconds / len(cases)
-            )
+            least = coarsest(problem, case)
+            rows += study.rows(case, [least * 2**k for k in range(_RUNGS)], share)
             done(1)
-    return WorkPrecision(
-        rows=measured, duration=problem.duration, n_bodies=ensemble.size, sampled=rows.size,
-        reference=known.source, reference_error=float(np.max(known.error)),
-        confirmation=str(check), n_threads=n_threads or default_threads(),
-    )  # fmt: skip
+    return WorkPrecision(rows, study)
 
 
 def cases_of(
@@ -274,18 +290,13 @@ def cases_of(
                 f"methods: found {method.name}, for {', '.join(method.scenes)}; accepted for this "
                 f"scene ({scene.kind}): {', '.join(fitting)}"
             )
-    representations = checks.several("representations", representations, "representations")
-    dtypes = checks.several("dtypes", dtypes, "float32 and float64")
-    for rep in representations:
-        checks.choice("representations", rep, ATTITUDES)
-    for dtype in dtypes:
-        checks.choice("dtypes", dtype, DTYPES)
+    representations = _words("representations", representations, ATTITUDES)
+    dtypes = _words("dtypes", dtypes, DTYPES)
     wanted = [Case(method).record for method in tried]
-    names = {"methods": [m.name for m in wanted], "representations": list(representations)}
-    for argument, used in names.items():
-        for name, times in Counter(used).items():
-            if times > 1:
-                raise ValueError(f"{argument}: found {name!r} twice; accepted: different names")
+    names = [method.name for method in wanted]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"methods: found {name!r} twice; accepted: different names")
     cases = [
         Case(name_of(method), representation, dtype)
         for method in wanted
@@ -295,10 +306,15 @@ def cases_of(
     ]
     if not cases:
         raise ValueError(
-            f"methods, representations, dtypes: found {', '.join(map(str, names.values()))}, "
-            f"{list(dtypes)}, of which nothing fits; accepted: {', '.join(fitting)}"
+            f"methods, representations, dtypes: found {names}, {representations}, {dtypes}, of "
+            f"which nothing fits; accepted: {', '.join(fitting)}"
         )
     return cases
+
+
+def _words(name: str, values: Sequence[str], accepted: Iterable[str]) -> list[str]:
+    chosen = [checks.choice(name, x, accepted) for x in checks.several(name, values, "words")]
+    return list(dict.fromkeys(chosen))
 
 
 def name_of(record: Method) -> str | Method:
@@ -315,9 +331,7 @@ def problem_over(
     if duration < _SHORTEST:
         raise ValueError(f"t_end: found {t_end}; accepted: at least {_SHORTEST:g} s after t0")
     whole = Problem(ensemble, duration, start, n_threads)
-    known = ensemble.w0 is not None
-    few = whole if known else whole.take(np.arange(min(ensemble.size, _EVALUATED)))
-    angle = largest_rotation(few)
+    angle = largest_rotation(whole)
     if angle > _FARTHEST:
         most = whole.duration * (_FARTHEST / angle)
         raise ValueError(
@@ -328,66 +342,15 @@ def problem_over(
 
 
 def spread(problem: Problem, size: int, generator: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of the fastest bodies (an eighth), the slowest (a sixteenth), and others at random."""
+    """Rows of bodies: the fastest first, which are half of them, and others at random."""
     n = problem.ensemble.size
-    if n <= size:
-        return np.arange(n)
-    ranked = np.argsort(speeds(problem), kind="stable")
-    least, between, most = np.split(ranked, [size // 16, n - max(1, size // 8)])
-    rest = generator.choice(between, size - most.size - least.size, replace=False)
-    return np.sort(np.concatenate([most, least, rest]))
+    ranked = np.argsort(-speeds(problem), kind="stable")
+    fastest, rest = np.split(ranked, [n if n <= size else max(1, size // 2)])
+    others = generator.choice(rest, min(n, size) - fastest.size, replace=False)
+    return np.concatenate([fastest, others])
 
 
-def case_rows(
-    name: str,
-    problem: Problem,
-    known: Reference,
-    check: Confirmation,
-    case: Case,
-    repeats: int,
-    *,
-    steps: Sequence[int] | None = None,
-    seconds: float = math.inf,
-) -> list[Row]:
-    """The ladder of one case: these numbers of steps, or halved ones from the method's limit on.
-
-    It ends where rounding dominates or the time is used up. The closed form has one row. If it is
-    the reference itself, its error is measured against what confirms it.
-    """
-    end = known.end
-    if case.record.is_exact:
-        end, steps = check.end, (1,)
-    first = fewest(problem, case)
-    return ladder_rows(
-        lambda n: measure(problem, end, case, n, repeats, name),
-        steps or [first * 2**k for k in range(_RUNGS)],
-        case,
-        case.record.order_of(problem.ensemble.scene.kind),
-        float(np.median(known.unresolved)),
-        seconds / ((repeats + 2) * problem.ensemble.size),
-    )
-
-
-def ladder_rows(
-    row_of_steps: Callable[[int], Row],
-    steps: Iterable[int],
-    case: Case,
-    order: int,
-    unresolved: float,
-    most: float,
-) -> list[Row]:
-    """Rows of falling steps, until rounding dominates or runs of a body took ``most`` seconds."""
-    rows: list[Row] = []
-    for n in steps:
-        rows = with_orders([*rows, row_of_steps(n)], case, order, unresolved)
-        # the next run takes as long as all before it
-        used = 2.0 * sum(row.seconds_per_body for row in rows)
-        if most < math.inf and ((len(rows) > 2 and rows[-2].plateau) or used > most):
-            break
-    return rows
-
-
-def fewest(problem: Problem, case: Case) -> int:
+def coarsest(problem: Problem, case: Case) -> int:
     """The number of steps in which the fastest body rotates by 2 rad, or as the method allows."""
     angle = min(_COARSEST, 0.9 * case.record.limit(case.representation))
     return max(1, math.ceil(largest_rotation(problem) / angle))

@@ -160,7 +160,7 @@ def test_opaque_functions_and_tables():
 
     def looked_up(x):
         a, b = functions.opaque(swap, 2, (x[0], x[1]), x[0])
-        return a, b, functions.gather(3, x[2], "double"), functions.gather(5, x[2], "double")
+        return a, b, *functions.row(3, x[2], 1), *functions.row(5, x[2], 1)
 
     made = RowFunction(looked_up, {"x": 3}, (2, 2))
     tables = {5: np.arange(10)[::-1], 3: np.arange(10.0) ** 2}
@@ -171,6 +171,20 @@ def test_opaque_functions_and_tables():
     assert np.array_equal(found, np.column_stack([tables[3][k], tables[5][k]]))
     other = {**tables, 3: -tables[3]}
     assert np.array_equal(made(x, tables=other)[1][:, 0], -found[:, 0])
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_successive_numbers_of_a_table(kind):
+    counts = (1, 2, 3, 7, 12, 19)
+
+    def looked_up(k):
+        return [functions.row(0, graph.Double(k), n) for n in counts]
+
+    made = RowFunction(looked_up, {"k": None}, counts, kind)
+    k = RNG.integers(0, 80, 70)
+    table = np.arange(100.0)
+    for n, found in zip(counts, made(k, tables={0: table}), strict=True):
+        assert np.array_equal(found, table[k[:, None] + np.arange(n)])
 
 
 # what is kept
@@ -218,5 +232,3 @@ def test_refusals():
         made(q, q, t)
     with pytest.raises(ValueError, match="broadcast"):
         made(q, v[:3], t)
-    with pytest.raises(ValueError, match="function: gives 5 numbers; accepted: 4"):
-        rows(blend, SHAPE, (3, None))(q, v, t)

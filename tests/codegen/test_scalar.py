@@ -1,10 +1,12 @@
 """A formula as one function of numbers, for ``@njit`` code and for Python."""
 
+import gc
 import math
 import os
 import re
 import subprocess
 import sys
+import weakref
 from functools import reduce
 from typing import NamedTuple
 
@@ -143,10 +145,8 @@ def test_an_array_in_place_of_a_tuple(kind):
     numbers = np.arange(1.0, 13.0, dtype=kind)
     expected = made(kind(2.0), tuple(map(kind, numbers[1:4])))
     for p in (numbers[1:], numbers[1:4]):
-        assert user(kind(2.0), p) == made(kind(2.0), p) == expected == (4.0, 1.0)
-    strided = numbers[::4]
-    assert user(kind(2.0), strided) == made(kind(2.0), strided) == (2.0, 4.0)
-    assert type(made(kind(2.0), strided)[1]) is kind
+        assert user(kind(2.0), p) == expected == (4.0, 1.0)
+    assert user(kind(2.0), numbers[::4]) == (2.0, 4.0)
     with pytest.raises(TypingError, match=r"found array\(float64, 2d, C\) among the arguments"):
         user(kind(2.0), np.ones((3, 3)))
     with pytest.raises(TypingError, match=r"found array\(int64, 1d, C\) among the arguments"):
@@ -174,6 +174,24 @@ def test_a_loop_allocates_nothing_and_holds_the_operations_alone():
     found = len(re.findall(r" = f(?:add|sub|mul|div) |call double @llvm.fma", body))
     # what does not change in the loop is done before it, once
     assert found <= wanted
+
+
+def test_a_formula_that_is_dropped_is_released():
+    """Numba keeps its type."""
+
+    def made():
+        formula = scalar_function(lambda x: x * x)
+
+        @njit
+        def user(x):
+            return formula(x)
+
+        assert user(3.0) == formula(3.0) == 9.0
+        return weakref.ref(formula)
+
+    dropped = made()
+    gc.collect()
+    assert dropped() is None
 
 
 def test_functions_of_the_c_library():
@@ -224,7 +242,26 @@ TABLE = np.array([3.0, 5.0, 7.0])
 
 def looked_up(x):
     k = graph.apply("floor", x)
-    return functions.gather(0, k, "double") * x
+    return functions.row(0, k, 1)[0] * x
+
+
+def test_tables_stay_where_machine_code_reads_them():
+    """Numba keeps the machine code of functions that are gone."""
+
+    def made():
+        formula = scalar_function(looked_up, {0: TABLE.copy()})
+
+        @njit
+        def user(x):
+            return formula(x)
+
+        assert user(2.0) == 14.0
+        return weakref.ref(formula), weakref.ref(formula.tables[0])
+
+    formula, table = made()
+    gc.collect()
+    assert formula() is None
+    assert table() is not None
 
 
 class Machine:

@@ -62,6 +62,17 @@ def test_a_body_has_the_bits_that_it_has_among_few(name, method, dtype):
         assert many.carried[carried][:, FEW].tobytes() == wanted.tobytes()
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_a_body_alone_has_the_bits_that_it_has_among_others(dtype):
+    """Whose orbit and size are their own, so that sines are those of each."""
+    rates = 0.3 + 0.1 * np.arange(5.0)
+    own = fa.torques.GravityGradient(rates)
+    many = fa.Scene(inertia=SIZES[:5] * (2.0, 1.5, 1.0), torque=own)
+    alone = fa.Scene(inertia=SIZES[0] * (2.0, 1.5, 1.0), torque=ORBIT)
+    of_many = run(many, slice(5), method="rk4", dtype=dtype)
+    assert run(alone, 0, method="rk4", dtype=dtype).q.tobytes() == of_many.q[:, 0].tobytes()
+
+
 def test_one_body_that_differs_is_enough():
     """By its last bit, or by the sign of a zero."""
     for value, other in ((1.7, np.nextafter(1.7, 2.0)), (0.0, -0.0)):

@@ -37,9 +37,10 @@ BODIES = generic(64)
 Q0 = np.broadcast_to(START, (64, 4))
 
 
-def run(scene=None, method="magnus4", representation="quat", n=4, h=0.01, q0=Q0, **options):
+def run(scene=BODIES.scene, method="magnus4", representation="quat", n=4, h=0.01, q0=Q0, **options):
+    w0 = None if scene.kind == "rate" else [0.1, 0.2, 0.3]
     options = {"method": method, "representation": representation, "n_threads": 1, **options}
-    return fa.propagate(BODIES.scene if scene is None else scene, q0, dt=h, n_steps=n, **options)
+    return fa.propagate(scene, q0, w0, dt=h, n_steps=n, **options)
 
 
 def steps_of(monkeypatch, *args, **options):
@@ -63,11 +64,23 @@ def with_sine(t, p):
     return math.sin(p[0] * t), p[1], p[2]
 
 
+def damped(t, q, w, p):
+    return p[0] * q[1] - p[1] * w[0], -p[0] * q[2], p[2] * math.sin(t)
+
+
+INERTIA = np.linspace([2.0, 1.0, 0.7], [3.0, 2.0, 1.5], len(BODIES.a))
+FREE = fa.Scene(inertia=INERTIA)
+TERMS = fa.torques.GravityGradient(BODIES.a), fa.torques.Damping(BODIES.omega[:, None])
+TORQUED = fa.Scene(inertia=INERTIA, torque=fa.torques.Sum(TERMS))
 PACKED = {
-    "dcm": (None, "rk4", "dcm"),
-    "quat": (None, "magnus4", "quat"),
+    "dcm": (BODIES.scene, "rk4", "dcm"),
+    "quat": (BODIES.scene, "magnus4"),
     **{name: (fa.Scene(rate=rate),) for name, rate in ROWS.items()},
     "user": (fa.Scene(rate=with_sine, params=BODIES.c[:, 0]), "lie_midpoint"),
+    "free": (FREE, "dmv10"),
+    "torqued": (TORQUED, "rk4"),
+    "splitting": (TORQUED, "kahan_li8"),
+    "user's torque": (fa.Scene(inertia=INERTIA, torque=damped, params=BODIES.c[:, 0]), "rk4"),
 }
 
 
@@ -84,18 +97,11 @@ def test_step_is_packed(monkeypatch, args):
         assert all(map(is_packed, loops))
 
 
-SINGLE = {
-    "no phase": fa.Scene(rate=ROWS["constant"]),
-    "bodies": fa.Scene(inertia=np.linspace([2.0, 1.0, 0.7], [3.0, 2.0, 1.5], len(BODIES.a))),
-}
-
-
 @needs_avx
-@pytest.mark.parametrize("scene", SINGLE.values(), ids=SINGLE)
+@pytest.mark.parametrize("scene", [fa.Scene(rate=ROWS["constant"]), FREE], ids=["rates", "bodies"])
 @pytest.mark.parametrize("method", ["rk4", "cf4"])
 def test_float32_step_is_packed_without_conversions(monkeypatch, method, scene):
-    w0 = None if scene.rate is not None else [0.1, 0.2, 0.3]
-    quick, *_ = steps_of(monkeypatch, scene, method, dtype="float32", w0=w0)
+    quick, *_ = steps_of(monkeypatch, scene, method, dtype="float32")
     lines = max(quick, key=len)
     assert is_packed(lines, "ps")
     assert not [line for line in lines if CONVERSION.match(line)]
@@ -180,7 +186,7 @@ def test_second_process_compiles_nothing(tmp_path):
 
     counts, results, files = call()
     assert counts == [(0, 0, 0), (1, 2, 3)]
-    assert len(files) == 15  # of each its text, and index and code with a mark
+    assert len(files) == 3
     assert call() == ([(1, 2, 3), (0, 0, 0)], results, files)
 
 
@@ -190,7 +196,7 @@ def test_second_process_compiles_nothing(tmp_path):
 @pytest.mark.parametrize(("method", "representation"), [("magnus4", "quat"), ("rk4", "dcm")])
 def test_steps_allocate_nothing(monkeypatch, method, representation):
     """A program calls nothing."""
-    job = job_of(monkeypatch, lambda: run(None, method, representation))
+    job = job_of(monkeypatch, lambda: run(BODIES.scene, method, representation))
     for text in assemblies(job):
         called = {match[1].strip() for line in text.splitlines() if (match := CALL.match(line))}
         assert called == set()
@@ -210,23 +216,6 @@ def peak():
             tracemalloc.stop()
 
     return measured
-
-
-def test_a_short_run_takes_the_tiles_that_it_has(monkeypatch):
-    taken, perform = [], Run.perform
-
-    def noted(run, tape, rows, *tiles):
-        taken.append(tiles)
-        return perform(run, tape, rows, *tiles)
-
-    monkeypatch.setattr(Run, "perform", noted)
-    for n in (1, 2, 300):
-        q0, w0 = np.tile(START, (n, 1)), np.ones((n, 3))
-        scene = fa.Scene(inertia=(2.0, 1.0, 0.7))
-        fa.propagate(scene, q0, w0, dt=0.1, n_steps=2, method="rk4", n_threads=1)
-        width = fa.plan(scene, n, dt=0.1, n_steps=2, method="rk4").job.width
-        assert taken.pop() == (0, math.ceil(n / width))
-    assert not taken
 
 
 def test_memory_is_that_of_the_state_and_its_saves(peak):
@@ -255,7 +244,7 @@ def test_memory_of_a_log_is_that_of_its_attitudes(peak):
 def test_a_loop_releases_the_gil():
     """As its options say."""
     tile_machine("double", any_angle=False, forks=False)
-    gyro_loop("sweep", "double")
+    gyro_loop("double")
     assert all(loop.targetoptions["nogil"] for loop in _jit._MACHINES)
 
 
@@ -288,23 +277,3 @@ def test_an_error_in_one_piece_stops_the_run(monkeypatch):
     with pytest.raises(RuntimeError, match="piece"):
         run(generic(6400).scene, q0=np.tile(START, (6400, 1)), n_threads=2)
     assert len(calls) < 16
-
-
-def test_progress_counts_every_step(monkeypatch):
-    pytest.importorskip("tqdm")
-    import tqdm
-
-    done = []
-
-    class Bar(tqdm.tqdm):
-        def update(self, n=1):
-            done.append(n)
-            return super().update(n)
-
-        def __init__(self, *args, **kwargs):
-            super().__init__(*args, **kwargs, disable=True)
-
-    monkeypatch.setattr(tqdm, "tqdm", Bar)
-    bodies = generic(200)
-    run(bodies.scene, n=130, q0=np.tile(START, (200, 1)), n_threads=2, progress=True)
-    assert sum(done) == 200 * 130

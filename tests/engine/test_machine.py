@@ -13,14 +13,14 @@ from fastatt.engine.tape import RECORD, Action
 
 WIDTH, ROWS, KEPT, IO = 8, 9, 5, 5
 #: rows: two of the state, one that is put back too, the largest squared angle, the status
-FORKED, ANGLE, LAST = 2, 3, 4
+FORKED, ANGLE = 2, 3
 BODIES = 19
 
 
 @njit
 def formula(part, rows, wide, numbers, first, last, is_any):
     """Some numbers that depend on all that a formula may read."""
-    begin, dt, share, low, high = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    begin, dt, low, high = numbers[0], numbers[1], numbers[3], numbers[4]
     for j in range(WIDTH):
         x, y = rows[0, j], rows[1, j]
         if part == Action.START:
@@ -31,7 +31,7 @@ def formula(part, rows, wide, numbers, first, last, is_any):
                 t = begin + n * dt
                 turned = 2.0 * math.sin(x + t) ** 2 * (1.0 + wide[0, j]) ** 2
                 rows[0, j] = 0.7 * x + dt * y + (0.01 if is_any else 0.02) * low
-                rows[1, j] = 0.9 * y - dt * x + share + 0.1 * high
+                rows[1, j] = 0.9 * y - dt * x + 0.1 * (numbers[2] + numbers[5] + high)
                 rows[2, j] += 1.0
                 rows[3, j] = max(rows[3, j], turned)
                 x, y = rows[0, j], rows[1, j]
@@ -74,7 +74,7 @@ def random_tape(rng, slots, forks):
         is_copied = action == Action.FORK or (is_copied and action != Action.JOIN)
         first = int(rng.integers(0, 4))
         numbers = first, first + int(rng.integers(0, 3)), int(rng.integers(0, slots))
-        rows.append((action, *numbers, *rng.uniform(0.1, 0.5, 4)))
+        rows.append((action, *numbers, *rng.uniform(0.1, 0.5, 5)))
     return np.array(rows, RECORD)
 
 
@@ -90,7 +90,7 @@ def interpreted(tape, bodies):
         rows, wide, numbers = np.zeros((ROWS, WIDTH)), np.zeros((1, WIDTH)), np.zeros(8)
         for s in tape:
             action = int(s["action"])
-            numbers[[0, 1, 3, 4]] = [s[name] for name in ("begin", "dt", "low", "high")]
+            numbers[[0, 1, 3, 4, 5]] = [s[x] for x in ("begin", "dt", "low", "high", "count")]
             if action == Action.START:
                 rows[IO : IO + 2], rows[IO + 2] = q0[0, 0][:, None], y0[0, body]
                 wide[0] = params[0, body]
@@ -119,7 +119,7 @@ def test_the_machine_does_what_the_tape_says(seed, any_angle, forks):
     """On random tapes, of two pieces, with a tile that is not full."""
     rng = np.random.default_rng(seed)
     slots, tapes = 3, []
-    restored = np.array([(Action.RESTORE, *[0] * 7)], RECORD)
+    restored = np.array([(Action.RESTORE, *[0] * 8)], RECORD)
     for k in range(2):
         tape = random_tape(rng, slots, forks)
         tapes.append(np.insert(tape, 1, restored) if k else tape)
@@ -138,23 +138,3 @@ def test_the_machine_does_what_the_tape_says(seed, any_angle, forks):
     for found, x in zip(bodies[3:], wanted[3:], strict=True):
         np.testing.assert_array_equal(found, x)
     assert any_angle == (bodies[3][0, :, ANGLE].max() > math.pi**2)
-
-
-def test_it_stops_where_any_angle_steps_are_missing():
-    """At the tile that needs them, from which the next call goes on."""
-    rng = np.random.default_rng(0)
-    tape = np.array(
-        [(Action.START, *[0] * 3, 0.3, 0, 0, 0), (Action.STEPS, 0, 9, 0, 0.3, 0, 0, 0)], RECORD
-    )
-    bodies = arrays(rng, 1)
-    bodies[2][:], bodies[2][0, 9] = 0.0, 5.0
-    program, time = np.zeros(1, PROGRAM), np.zeros(8)
-    program["small_angle"], program["fork"] = SMALL.address, FORKED
-    program["angle"], program["io"], program["coordinates"] = ANGLE, IO, 2
-    tile = Tile(np.zeros((ROWS, WIDTH)), np.zeros((1, WIDTH)), time[: len(TIME)].view(TIME))
-    machine = tile_machine("double", any_angle=True, forks=False)
-    given = tape, program, tile, np.zeros((KEPT, WIDTH)), None, tuple(bodies)
-    assert machine(*given, 0, 3) == 1
-    program["any_angle"] = ANY.address
-    assert machine(*given, 1, 3) == 3
-    assert LAST == KEPT - 1

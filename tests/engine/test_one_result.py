@@ -10,78 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ways import DT, OWN, Q0, RATE, RNG, STEPS, TORQUED, W0, WAYS, N, given
 
 import fastatt as fa
 from fastatt.propagation import execute
 
-N = 200  # bodies, three tiles of 64 and a part of one
-DT, STEPS = 0.01, 300  # more than a block
-RNG = np.random.default_rng(3)
-Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
-BODY = (2.0, 1.0, 1.5)
-SIZES = RNG.uniform(0.9, 1.1, (N, 1))
-OWN = RNG.uniform(0.1, 0.5, (N, 2))
-
-
-def swing(t, q, w, p):
-    return p[0] * np.sin(3.0 * t), p[1] * w[1] - q[1], 0.1
-
-
-def pulse(t, q, w, p):
-    return (p[0] if 0.503 < t < 1.5 else -p[0]), q[1], 0.02 * t
-
-
-def lagged(t, q, w, s, p):
-    return (-p[0] * s[0], 0.0, q[2]), (p[1] * (w[0] - s[0]), s[0])
-
-
-def held(t, q, w, s, p):
-    return (-p[0] * w[0], -s[0], 0.0), (s[0] + 0.1 * w[1],)
-
-
-RATE = fa.Scene(rate=fa.rates.Coning(OWN[:, 0], OWN[:, 1] + 1.0))
-SHARED = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
-TORQUED = fa.Scene(inertia=BODY, torque=swing, params=OWN)
-SPLIT = fa.Scene(inertia=SIZES * BODY, torque=fa.torques.GravityGradient(0.3))
-FREE = fa.Scene(inertia=SIZES * BODY)
-MOVED = fa.Scene(inertia=BODY, mass=SIZES[:, 0], force=(0.1, 0.2, 0.3))
-STATES = fa.Scene(inertia=BODY, torque=lagged, states=2, params=OWN)
-SAMPLED = fa.Scene(inertia=BODY, torque=fa.torques.SampledControl(held, 0.25, (0.3,), states=1))
-BROKEN = fa.Scene(
-    inertia=BODY, breakpoints=(0.503, 1.5), torque=fa.torques.Custom(pulse, OWN, uses_rate=False)
-)
-EVENTS = [fa.event(lambda t, q, w, p: w[0]), fa.event(lambda t, q, w, p: w[1], terminal=True)]
-WAYS = {
-    "rate": (RATE, {"method": "magnus4"}),
-    "shared rate": (SHARED, {"method": "magnus4", "representation": "dcm"}),
-    "rate, single": (RATE, {"method": "magnus4", "dtype": "float32"}),
-    "rk4": (TORQUED, {"method": "rk4"}),
-    "rk4, single": (TORQUED, {"method": "rk4", "dtype": "float32"}),
-    "rk4, low parts": (TORQUED, {"method": "rk4", "compensated": True, "normalise": 3}),
-    "rk4, matrices": (TORQUED, {"method": "rk4", "representation": "dcm_rows"}),
-    "rk4, angles": (TORQUED, {"method": "rk4", "representation": "euler313", "dt": -DT}),
-    "rk4, never mended": (TORQUED, {"method": "rk4", "normalise": "never"}),
-    "splitting": (SPLIT, {"method": "strang2"}),
-    "implicit": (FREE, {"method": "dmv10"}),
-    "implicit, single": (FREE, {"method": "dmv10", "dtype": "float32"}),
-    "closed form": (FREE, {"method": "exact"}),
-    "position": (MOVED, {"method": "rk4", "v0": W0 + 1.0, "r0": W0 - 1.0}),
-    "states": (STATES, {"method": "rk4", "s0": W0[:, :2]}),
-    "samples": (SAMPLED, {"method": "rk4", "s0": np.zeros((N, 4))}),
-    "breakpoints": (BROKEN, {"method": "rk4"}),
-    "breakpoints, splitting": (BROKEN, {"method": "strang2"}),
-    "events": (TORQUED, {"method": "rk4", "events": EVENTS}),
-}
 STEPPED = [way for way, (_, options) in WAYS.items() if options["method"] != "exact"]
 ways, stepped = (pytest.mark.parametrize("way", x) for x in (WAYS, STEPPED))
-
-
-def given(way, rows=slice(None), n=STEPS, **more):
-    """A scene and the arguments of its run, of some bodies."""
-    scene, options = WAYS[way]
-    start = {"q0": Q0[rows]} | ({} if scene.kind == "rate" else {"w0": W0[rows]})
-    start |= {name: options[name][rows] for name in ("v0", "r0", "s0") if name in options}
-    return scene[rows], {"dt": DT, "n_steps": n, **options, **start, **more}
 
 
 def run(way, rows=slice(None), **more):
@@ -115,7 +50,7 @@ def test_threads_change_no_bit(way):
 
 @ways
 def test_saves_change_no_bit(way):
-    """Every k steps, in memory and handed out; of a few steps and of none too."""
+    """Every k steps and at any times, in memory and handed out; of a few steps and of none too."""
     every = run(way, save_every=1)
     assert every.t.tolist() == (np.arange(STEPS + 1) * WAYS[way][1].get("dt", DT)).tolist()
     for k in (None, 1, 7, 64, STEPS, 2 * STEPS):
@@ -123,6 +58,10 @@ def test_saves_change_no_bit(way):
         found = run(way, save_every=k)
         assert found.t.tolist() == every.t[steps].tolist()
         assert of(found) == of(every, saves=steps), k
+    for at in ((7, 100, STEPS), (7, 50.4, 100, 170.7, STEPS)):
+        found = run(way, save_at=every.t[1] * np.array(at))
+        on_grid = [k for k, step in enumerate(at) if step == int(step)]
+        assert of(found, saves=on_grid) == of(every, saves=[7, 100, STEPS])
     for n in (0, 1, 63):
         few = run(way, n=n)
         assert few.q.tobytes() == every.q[[n]].tobytes()

@@ -80,16 +80,6 @@ def test_one_rate_for_bodies_with_steps_of_their_own():
                 assert (found.w[:, b] == alone.w).all()
 
 
-def test_representations_and_precisions_agree():
-    options = {"dt": STEPS, "n_steps": COUNTS, "save_at": [0.4, END]}
-    quat = run("free", "rk4", **options)
-    matrix = run("free", "rk4", representation="dcm", **options)
-    single = run("free", "rk4", dtype=np.float32, **options)
-    error = angle(quat.q[-1], run("free", "rk8", dt=END / 90, n_steps=90).q[-1]).max()
-    assert angle(matrix.q, quat.q).max() < 50 * error
-    assert angle(single.q.astype(float), quat.q).max() < 90 * 6e-8 * 4
-
-
 def test_backwards_and_from_another_epoch():
     steps = {"n_steps": COUNTS, "method": "magnus6"}
     there = run("rate", dt=STEPS, **steps)

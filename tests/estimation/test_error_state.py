@@ -143,32 +143,3 @@ def test_rows_are_the_kernels():
         assert (one == many[k]).all()
     assert estimation.transition_matrix(w, H).shape == (5, 6, 6)
     assert estimation.covariance_to_inertial(p, [1, 0, 0, 0]).shape == (5, 6, 6)
-
-
-W = [0.1, 0.2, 0.3]
-
-
-@each(
-    ("call", "message"),
-    [
-        (lambda: estimation.right_jacobian([1.0, 2.0]), r"u: has shape \(2,\)"),
-        (lambda: estimation.transition_matrix(W, 0.0), "dt: found 0.0; accepted: an interval"),
-        (
-            lambda: estimation.process_noise(W, 0.1, angle_noise=-1.0, bias_noise=0.0),
-            "angle_noise: found -1.0; accepted: at least 0",
-        ),
-        (
-            lambda: estimation.predict_covariance(
-                np.triu(np.ones((6, 6))), W, 0.1, angle_noise=0.0, bias_noise=0.0
-            ),
-            "covariance: is not symmetric",
-        ),
-        (
-            lambda: estimation.covariance_to_body(np.zeros((2, 6, 6)), np.ones((3, 4))),
-            "covariance: found rows covariance 2, q 3",
-        ),
-    ],
-)
-def test_refusals(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()

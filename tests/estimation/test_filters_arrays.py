@@ -11,7 +11,6 @@ from fastatt import estimation
 START = (0.5, -0.5, 0.5, 0.5)
 GENERATOR = np.random.default_rng(0)
 GYRO, ACCEL = GENERATOR.normal(size=(2, 3, 7, 3))
-NOISE = {"gyro_noise": 0.02, "accel_noise": 0.3}
 
 
 def filtered(n):
@@ -53,6 +52,3 @@ def test_many_filters_are_the_filters_alone():
     many, one = filtered(9), filtered(1)
     for a, b in zip(many, one, strict=True):
         assert (a == b).all()
-
-
-# one sample from Python and in a log

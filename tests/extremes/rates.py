@@ -59,15 +59,23 @@ def cone(a: Array, phase: Array) -> Array:
     return np.stack([np.cos(0.5 * a), s * np.cos(phase), s * np.sin(phase), 0.0 * a], axis=-1)
 
 
-def coning(theta: float, n_steps: int = N_STEPS) -> Callable[[Case], Outcome]:
-    """Cones whose half angles let them turn at half to twice the rate of the body."""
+def coning(theta: float, n_steps: int = N_STEPS, size: float = 1.0) -> Callable[[Case], Outcome]:
+    """Cones whose half angles let them turn at half to twice the rate of the body.
+
+    The initial quaternions are of any length, and their numbers may be subnormal.
+    """
 
     def run(case: Case) -> Outcome:
         a, frequency = single(CONES), single(theta / (2.0 * np.sin(0.5 * CONES)))
-        q0 = mul(START, cone(a, 0.0 * a))
+        first = cone(a, 0.0 * a)
+        q0 = size * mul(START, first)
+        q0 = q0 if case.dtype == "float64" else single(q0)
         scene = rates(a, frequency, np.zeros((len(a), 3)))
         got = propagate(case, scene, q0, dt=1.0, n_steps=n_steps)
-        end = mul(START, cone(a, n_steps * frequency))
+        unit = q0 / np.abs(q0).max(axis=-1, keepdims=True)
+        unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+        base = mul(unit, first * (1.0, -1.0, -1.0, -1.0))
+        end = mul(base, cone(a, n_steps * frequency))
         turn = frequency * 2.0 * np.sin(0.5 * a)
         allowed = n_steps * truncation(case, turn) + rounding(case, n_steps, n_steps * frequency)
         return Outcome(angle(got.q[-1], end), allowed, got.status)

@@ -210,18 +210,6 @@ def test_lanes_are_single_logs_bit_for_bit(method, increments, dtype):
             assert same(batch[b], fa.integrate_rates(data[b], 1.0, q0[b], **options))
 
 
-@on_representatives
-def test_fast_stretch_of_one_log_changes_no_bit_before_it(method, increments):
-    """Nor in the lanes of its tile, which hold what comes before."""
-    data = 0.005 * LOG[:5000]
-    fast = data.copy()
-    fast[4500:] *= 500.0
-    options = {"method": method, "increments": increments}
-    alone, beside = (fa.integrate_rates(d, 1.0, START, **options) for d in (data, fast))
-    assert same(beside[:4488], alone[:4488])
-    assert angle(beside[-1], alone[-1]) > 0.01
-
-
 def inner(method, turn):
     """Error between the ends of a window that turns by ``turn`` rad at a constant rate.
 
@@ -365,14 +353,6 @@ def test_a_gap_does_not_magnify_noise(method):
     turned = angle(q[:, 60], q[:, 61])
     # the mean of two samples: σ h √(3/2) on three axes
     assert np.sqrt(np.mean(turned**2)) == pytest.approx(0.5e-4 * math.sqrt(1.5), rel=0.2)
-
-
-def test_intervals_that_only_vary_are_no_cuts():
-    """Of a slow part of a log after its first eight intervals, the part itself is none."""
-    assert cuts(3.0, np.array([0.01] * 20 + [0.1] * 20))[0] == (20, 0.01)
-    assert [k for k, _ in cuts(3.0, np.array([0.01] * 20 + [0.1] * 20))] == [20, 21, 22, 23]
-    assert cuts(3.0, np.random.default_rng(0).uniform(0.05, 0.15, 1000)) == []
-    assert [k for k, _ in cuts(3.0, np.array([9.0, *[0.01] * 20]))] == [1, 2, 3, 4, 5]
 
 
 def test_cuts_are_those_of_the_medians():

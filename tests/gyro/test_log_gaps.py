@@ -30,7 +30,7 @@ def at_rows(*places):
     return t
 
 
-@pytest.mark.parametrize("how", ["refuse", "drop", "split"])
+@pytest.mark.parametrize("how", ["refuse", "drop"])
 @pytest.mark.parametrize(("sensor", "unit"), [("mag", "uT"), ("acc", "m/s^2")])
 def test_cells_of_other_sensors_are_left_empty(how, sensor, unit):
     """A magnetometer at a twentieth of the gyro's rate: all gyro samples stay as they are."""
@@ -41,13 +41,11 @@ def test_cells_of_other_sensors_are_left_empty(how, sensor, unit):
     ]
     log = fa.read_gyro_log(io.StringIO("\n".join([head, *lines])), on_bad_rows=how)
     assert np.array_equal(log.rates, RATES)
-    assert log.pieces == (slice(0, N),)
     found = log.mag if sensor == "mag" else log.accel
     assert np.array_equal(np.isfinite(found).all(axis=1), np.arange(N) % 20 == 0)
     assert np.isnan(found[1]).all()
 
 
-@pytest.mark.parametrize("how", ["drop", "split"])
 @pytest.mark.parametrize(
     ("places", "lost"),
     [
@@ -59,34 +57,15 @@ def test_cells_of_other_sensors_are_left_empty(how, sensor, unit):
         ([(400, -5.0), (700, 5e5)], [400, 700]),
         ([(300, T[299])], [300]),  # a repeated stamp
         ([(0, 1e9)], [0]),
-        ([(0, -1e9)], [0]),
         ([(998, 1e9)], [998]),
         ([(999, 0.0)], [999]),
     ],
 )
-def test_an_outlier_costs_its_own_row(how, places, lost):
-    log = fa.read_gyro_log(table(at_rows(*places)), on_bad_rows=how)
+def test_an_outlier_costs_its_own_row(places, lost):
+    log = fa.read_gyro_log(table(at_rows(*places)), on_bad_rows="drop")
     kept = np.delete(np.arange(N), lost)
     assert np.array_equal(log.rates, RATES[kept])
     assert np.allclose(log.t, T[kept] - T[kept[0]], rtol=0.0, atol=1e-6)
-    assert len(log.pieces) == (2 if how == "split" and lost[0] not in (0, 999) else 1) + (
-        how == "split" and len(places) == 2
-    )
-
-
-def test_rows_left_out_divide_a_log_only_where_samples_are_missing():
-    """A repeated row takes the place of none."""
-    twice = np.insert(np.arange(N), [300, 700], [299, 699])
-    repeated = fa.read_gyro_log(table(T[twice], RATES[twice]), on_bad_rows="split")
-    assert repeated.pieces == (slice(0, N),)
-    assert [event[:2] for event in repeated.events] == [
-        ("rows dropped", 300), ("rows dropped", 701)
-    ]  # fmt: skip
-    assert [event[2] for event in repeated.events] == pytest.approx([T[299], T[699]])
-    rates = RATES.copy()
-    rates[500] = np.nan
-    without = fa.read_gyro_log(table(T, rates), on_bad_rows="split")
-    assert without.pieces == (slice(0, 500), slice(500, N - 1))
 
 
 def test_the_sample_rate_leaves_out_gaps():
@@ -100,32 +79,17 @@ def test_the_sample_rate_leaves_out_gaps():
     assert fa.read_gyro_log(table(coarse)).rate == pytest.approx(700.0, rel=2e-3)
 
 
-@pytest.mark.parametrize("at", [4, 11, 500, 995])
-@pytest.mark.parametrize("to", [0.0, -100.0])
-def test_a_reset_of_the_clock_costs_nothing(at, to):
+@pytest.mark.parametrize("how", ["refuse", "drop"])
+@pytest.mark.parametrize(("at", "to"), [(11, 0.0), (500, -100.0), (990, 0.0)])
+def test_a_reset_of_the_clock_is_refused(at, to, how):
+    """The time that passed is unknown."""
     t = np.where(np.arange(N) < at, T, T - T[at] + to)
-    for how in ("drop", "split"):
-        log = fa.read_gyro_log(table(t), on_bad_rows=how)
-        assert np.array_equal(log.rates, RATES)
-        assert np.allclose(log.t, T, rtol=0.0, atol=1e-12)
-        assert log.summary.endswith(f"; 1 clock reset: row {at} at {T[at - 1]:.6g} s")
-        assert log.events == (("clock resets", at, pytest.approx(T[at - 1])),)
-        assert log.pieces == ((slice(0, at), slice(at, N)) if how == "split" else (slice(0, N),))
-
-
-@pytest.mark.parametrize(
-    ("t", "message"),
-    [
-        (at_rows((10, 1e9)), r"row 10 is an outlier"),
-        (np.where(np.arange(N) < 500, T, T - 5.0), "row 500 is decreasing, and the clock goes on"),
-    ],
-)
-def test_what_is_refused_says_what_it_is(t, message):
+    message = rf"t \[s\] in row {at} is decreasing, and the clock goes on from there; accepted: a"
     with pytest.raises(GyroLogError, match=message):
-        fa.read_gyro_log(table(t))
+        fa.read_gyro_log(table(t), on_bad_rows=how)
 
 
-@pytest.mark.parametrize("how", ["refuse", "drop", "split"])
+@pytest.mark.parametrize("how", ["refuse", "drop"])
 @pytest.mark.parametrize("each", [3, 1.6])
 def test_stamps_that_rows_share_are_refused(how, each):
     """Those of packets, and of a clock too coarse: they do not say when a sample was taken."""

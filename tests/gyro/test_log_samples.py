@@ -56,22 +56,14 @@ def test_bad_rows_dropped():
     assert log.dt.tolist() == np.diff(DROPPED).tolist()
     dropped = "line 4 at 0.1 s, line 6 at 0.3 s, line 7 at 0.3 s, ..."
     assert log.summary.endswith(f"; 5 rows dropped: {dropped}; 1 gap: line 9 at 0.4 s")
-    assert log.pieces == (slice(0, 7),)
-
-
-def test_bad_rows_cut_a_log():
-    log = read(BAD, on_bad_rows="split")
-    assert log.t.tolist() == DROPPED
-    pieces = [log.t[p].tolist() for p in log.pieces]
-    assert pieces == [[0.0, 0.1], [0.3, 0.4], [5.0], [5.2, 5.3]]
 
 
 @each(
     ("row", "message"),
     [
         ("0.2,nan,2,3", "line 4: wx .rad/s. is 'nan'; accepted: a finite number, or on_bad_rows"),
-        ("0.1,1,2,3", r"t \[s\] in line 4 is repeated \(0.1 s after the first\)"),
-        ("0.05,1,2,3", "line 4 is decreasing"),
+        ("0.1,1,2,3", r"t \[s\] in line 4 is an outlier, 0 s after the row before; acc"),
+        ("0.05,1,2,3", "line 4 is an outlier, -0.05 s after the row before"),
         ("9.0,1,2,3", "line 4: a gap of 8.9 s; accepted: at most 1 s"),
     ],
 )
@@ -84,14 +76,9 @@ def test_at_a_rate_a_row_left_out_leaves_a_hole():
     content, options = "0,1,2,3\n0,nan,2,3\n0,1,2,3\n", {"rate": 4.0, "on_bad_rows": "drop"}
     dropped = read(content, **options)
     assert (dropped.t.tolist(), dropped.dt.tolist()) == ([0.0, 0.5], [0.5])
-    assert read(content[:20], **options).rate == 4.0
-
-
-def test_a_bias_is_that_of_a_start_at_rest():
-    rates = np.array([[0.02, -0.01, 0.0], [0.02, -0.03, 0.0], [0.02, -0.02, 0.0], [1.0, 1.0, 1.0]])
-    rows = "".join(f"{k},{','.join(map(repr, w))}\n" for k, w in enumerate(rates.tolist()))
-    log = fa.read_gyro_log(text(rows), bias_seconds=2.5)
-    assert np.allclose(log.rates, rates - [0.02, -0.02, 0.0], rtol=0, atol=3e-17)
+    assert dropped.rate == 2.0
+    with pytest.raises(GyroLogError, match="of 3 rows that are samples; accepted: at least two"):
+        read(content[:20], **options)
 
 
 CONTENT = "".join(f"{0.01 * k!r},{0.1 * k!r},{-0.2 * k!r},0.5\n" for k in range(40))
@@ -160,19 +147,6 @@ def test_a_file_of_attitudes_is_that_of_the_log(tmp_path, rate, capsys):
     assert "40 samples at 100 Hz" in capsys.readouterr().out
 
 
-def test_pieces_begin_anew(tmp_path):
-    path, out = tmp_path / "log.csv", tmp_path / "q.npy"
-    path.write_text(HEAD + BAD, encoding="utf-8")
-    assert main(["integrate", str(path), "-o", str(out), "--on-bad-rows", "split"]) == 0
-    log = fa.read_gyro_log(path, on_bad_rows="split")
-    expected = [
-        np.column_stack([log.t[p], q, np.full(len(q), k)])
-        for k, p in enumerate(log.pieces)
-        for q in [fa.integrate_rates(log.rates[p], np.diff(log.t[p]))]
-    ]
-    assert np.array_equal(np.load(out), np.concatenate(expected))
-
-
 def test_what_fails_leaves_no_file(tmp_path, capsys):
     path, out = tmp_path / "log.csv", tmp_path / "q.csv"
     path.write_text(HEAD + CONTENT + "9,1,2\n", encoding="utf-8")
@@ -207,8 +181,6 @@ def test_columns_of_objects_are_read_cell_by_cell():
     for stamps in (
         [f"{0.01 * k:g}" for k in range(5)],
         [str(m) + (".000000" if not m.microsecond else "") for m in moments],
-        [f"{m:%H:%M:%S.%f}" for m in moments],
-        [m - moments[0] for m in moments],
     ):
         unit = "s" if stamps[0] == "0" else None
         log = fa.read_gyro_log({"t": np.array(stamps, dtype=object), **gyro, **mag}, time_unit=unit)

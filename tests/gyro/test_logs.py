@@ -32,7 +32,7 @@ def rows(separator, first=""):
 def test_a_comment_that_names_no_gyro_is_none(tmp_path):
     path = write(tmp_path / "a.csv", f"# a,b,deg/s,d\n{rows(',', '7,')}")
     log = read_gyro_log(path, columns=["2", "3", "4"], rate=1.0, unit="rad/s")
-    assert log.columns[0] == "column 2"
+    assert "; column 2, column 3, column 4 in rad/s" in log.summary
 
 
 NAMED = {"columns": ["2", "3", "4"], "time_column": "1", "unit": "rad/s"}
@@ -75,20 +75,9 @@ def test_axes_alone_need_a_name_of_their_file(tmp_path):
         read_gyro_log(write(tmp_path / "Gyroscope.csv", text))
 
 
-@pytest.mark.parametrize("rate", [None, 10.0])
-@pytest.mark.parametrize("how", ["refuse", "drop"])
-def test_intervals_are_an_array(rate, how):
-    for n in (2, 3):
-        data = {"t [s]": 0.1 * np.arange(n), "gyro": np.ones((n, 3))}
-        log = read_gyro_log(data, rate=rate, unit="rad/s", on_bad_rows=how)
-        assert isinstance(log.dt, np.ndarray)
-        assert np.allclose(log.dt, [0.1] * (n - 1), rtol=1e-15, atol=0.0)
-        assert log.rate == pytest.approx(10.0)
-
-
 def test_the_unit_of_time_that_is_said_stands_above_a_name(tmp_path):
     path = write(tmp_path / "a.csv", f"time [s],{RAD}\n0,1,2,3\n2000,1,2,3\n")
-    with pytest.raises(GyroLogError, match=r"time \[s\] gives 0\.0005 Hz in s; .*0\.5 Hz in ms"):
+    with pytest.raises(GyroLogError, match=r"time \[s\] gives 0\.0005 Hz; .*0\.5 Hz in ms"):
         read_gyro_log(path)
     assert read_gyro_log(path, time_unit="us").dt == pytest.approx([2e-3], rel=1e-15)
 
@@ -102,20 +91,20 @@ HUGE = GOOD.replace("2,1,2,3", "1e308,1,2,3").replace("\n0", "\n-1e308")
 REFUSED = [
     ("", {}, "found no row of numbers"),
     ("a,b\nc,d\n", {}, "found no row of numbers"),
-    ("t,wx,wy,wz\na,b,c,this is no unit\n1,2,3,4\n", {}, "line 2: found 'a,b,c,this"),
+    ("t,wx,wy,wz\na,b,c,this is no unit\n1,2,3,4\n", {}, "among 'a', 'b', 'c', 'this is no unit'"),
     ("a,b\n1,2\n", {"rate": 1.0}, "no three columns named like gyro"),
     (f"{RAD}\n1,2,3\n", {}, "no time column and no sample rate"),
     (GOOD.replace("2,1,2,3", "2,1,nan,3"), {}, "line 4: wy .rad/s. is 'nan'"),
     (GOOD.replace("2,1,2,3", "2,1,x,3"), {}, "line 4: wy .rad/s. is 'x'"),
     (GOOD.replace("1,1,2,3", "1,2,3"), {}, "line 3: found 3 columns; accepted: 4"),
     (GOOD.replace("1,1,2,3", "1,9,1,2,3"), {}, "line 3: found 5 columns; accepted: 4, as in the f"),
-    (GOOD.replace("t [s],wx", "wx"), {}, "among 4 columns under 3 names; name them"),
+    (GOOD.replace("t [s],wx", "wx"), {}, "among 4 columns without a name each; name them"),
     (HUGE, {"unit": "deg/s", "time_unit": "s"}, "t .s. in line 4, or a number beside it, overflo"),
     (GOOD.replace("wx", "x" * 9999), {"columns": ["a", "b", "c"]}, "columns: found 'a'"),
     (GOOD.replace("wz", "wx"), {"columns": ["wx [rad/s]", "3", "1"]}, "columns: found 'wx"),
     (GOOD, {"columns": "xyz"}, "columns: found 'xyz'; accepted: 3 different columns"),
     (GOOD, {"columns": ["1", "2", "9" * 9999]}, "columns: found '999"),
-    (GOOD, {"rate": 1e-320}, "rate: found 1e-320; accepted"),
+    (GOOD, {"rate": 1e-320}, "or a number beside it, overflows"),
     (GOOD, {"columns": ["2", "3", "3"]}, "3 different columns"),
     (GOOD, {"columns": ["1", "2", "9"]}, "a number from 1 to 4"),
     (GOOD, {"time_column": "T"}, "time column: found 'T'"),
@@ -126,10 +115,8 @@ REFUSED = [
     (GOOD.partition("\n1,")[0], {}, "at least two"),
     (GOOD, {"max_gap": 0.5}, "line 3: a gap of 1 s; accepted: at most 0.5 s"),
     (GOOD, {"max_gap": 0.0}, "max_gap: found 0.0; accepted: a number above 0"),
-    (GOOD, {"on_bad_rows": "keep"}, "bad_rows: found 'keep'; accepted: refuse, drop, split"),
-    (GOOD, {"bias_seconds": 9.0}, "bias_seconds: found all of the log in the first 9 s; accepted"),
-    (GOOD.replace("1,2,3", ".1,0,0"), {"bias_seconds": 0.1}, "found one sample in the first"),
-    (GOOD.replace("[s]", "[min]"), {}, "t .min.: found the unit 'min'"),
+    (GOOD, {"on_bad_rows": "keep"}, "bad_rows: found 'keep'; accepted: refuse, drop"),
+    (GOOD.replace("[s]", "[min]"), {}, "t .min. is in 'min'; accepted: the unit of time"),
     (SENSORS, {}, "one gyro"),
     (TWO_TIMES, {}, "than one time column"),
     (f"wx (deg/s),wy (rad/s),wz (deg/s)\n{rows(',')}", {"rate": 1.0}, "one for all"),
@@ -192,8 +179,7 @@ def test_other_units(tmp_path, unit, seconds, turned):
 def test_the_last_letter_of_a_unit_is_no_axis(tmp_path):
     path = write(tmp_path / "a.csv", f"gyro_x_hz,gyro_y_hz,gyro_z_hz\n{rows(',')}")
     log = read_gyro_log(path, rate=1.0)
-    assert log.columns == ("gyro_x_hz", "gyro_y_hz", "gyro_z_hz")
-    assert log.unit == "Hz"
+    assert "; gyro_x_hz, gyro_y_hz, gyro_z_hz in Hz" in log.summary
 
 
 @pytest.mark.parametrize(
@@ -263,34 +249,21 @@ def test_numbers_are_rounded_to_nearest(tmp_path):
 
 def test_a_text_needs_pandas_and_a_table_none(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"tables need pandas; pip install 'fastatt\[logs\]'"):
+    with pytest.raises(ImportError, match=r"of a text: needs pandas; .* 'fastatt\[logs\]'"):
         read_gyro_log(write(tmp_path / "a.csv", GOOD))
     table = {"t [s]": [0.0, 1.0], **{name: [1.0, 1.0] for name in RAD.split(",")}}
     assert read_gyro_log(table).rates.shape == (2, 3)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npy"])
-@pytest.mark.parametrize("columns", [5, 6])
-def test_written_attitudes_come_back(tmp_path, suffix, columns):
-    rows = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0], [0.1, 0.6, 0.8, 0.0, 1e-300, 1.0]])
-    rows = rows[:, :columns]
+def test_written_attitudes_come_back(tmp_path, suffix):
+    rows = np.array([[0.0, 1.0, 0.0, 0.0, 0.0], [0.1, 0.6, 0.8, 0.0, 1e-300]])
     path = tmp_path / f"a{suffix}"
     for _ in range(2):  # over one that is there
         write_attitudes(path, rows)
     found = np.load(path) if suffix == ".npy" else np.loadtxt(path, delimiter=",", skiprows=1)
     assert np.array_equal(found, rows)
     assert [x.name for x in tmp_path.iterdir()] == [path.name]
-
-
-def test_columns_of_other_sensors_can_be_named():
-    table = {"t [s]": [0.0, 0.1], **{f"gyro_{a} [rad/s]": [0.1, 0.1] for a in "xyz"}}
-    table |= {f"f{a}": [9.8, 9.8] for a in "NED"} | {f"B{k}": [k, k] for k in (1, 2, 3)}
-    assert read_gyro_log(table).accel is None
-    log = read_gyro_log(table, accel_columns=["fN", "fE", "fD"], mag_columns=["B3", "B2", "B1"])
-    assert log.accel.tolist() == [[9.8] * 3] * 2
-    assert log.mag.tolist() == [[3.0, 2.0, 1.0]] * 2
-    with pytest.raises(GyroLogError, match=r"mag_columns: found .*; accepted: 3 different columns"):
-        read_gyro_log(table, mag_columns=["B3", "B2"])
 
 
 def test_a_log_prints_a_summary(tmp_path):

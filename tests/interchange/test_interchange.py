@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 import scipy
-from exact import EPS, angle, exp, matrix, mul, rotate
+from exact import EPS, angle, matrix, mul, rotate
 
 import fastatt as fa
 from fastatt import interchange as ic
@@ -47,14 +47,6 @@ def test_initial_attitudes_as_rotations():
     """One or stacked, of any Euler sequence."""
     body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     angles = np.array([[0.3, -0.4, 1.1], [2.0, 0.1, -0.7]])
-    turns = [exp(a * axis) for a, axis in zip(angles[0], np.eye(3)[[2, 1, 0]], strict=True)]
-    assert (
-        angle(
-            from_scipy(scipy.spatial.transform.Rotation.from_euler("ZYX", angles[0])),
-            mul(mul(*turns[:2]), turns[2]),
-        )
-        <= 4 * EPS
-    )
     for q0 in (
         scipy.spatial.transform.Rotation.from_euler("ZYX", angles[0]),
         scipy.spatial.transform.Rotation.from_euler("xzx", angles),
@@ -99,6 +91,11 @@ def test_modified_rodrigues_parameters():
 def test_parameters_of_numbers_whose_squares_overflow():
     large = 1e200 * np.array([0.5, 0.5, -0.5, 0.5])
     assert fa.quat_to_mrp(large) == pytest.approx(fa.quat_to_mrp(large / 1e200), abs=EPS)
+    for size in (1e153, 1e154, 1e155, 1e200, 1e308):
+        for x in (np.array([1.0, 0.0, 0.0]), np.array([0.3, -0.7, 0.2])):
+            # ((1 − σ²), 2σ)/(1 + σ²), where 1 is nothing beside σ²
+            wanted = [-1.0, *(2.0 * x / (x @ x) / size)]
+            assert np.allclose(fa.mrp_to_quat(size * x), wanted, rtol=8 * EPS, atol=5e-324)
 
 
 @pytest.mark.parametrize(("function", "shape"), [(ic.to_scalar_last, 4), (ic.from_scalar_last, 4)])
@@ -107,11 +104,6 @@ def test_refusals(function, shape):
         function(np.ones((2, 5)))
     with pytest.raises(TypeError, match="accepted: real numbers"):
         function("north")
-
-
-def test_float32_stays():
-    assert fa.quat_to_mrp(Q.astype(np.float32)).dtype == np.float32
-    assert fa.mrp_to_quat(fa.quat_to_mrp(Q.astype(np.float32))).dtype == np.float32
 
 
 # a run as a table
@@ -169,7 +161,4 @@ def test_long_tables_are_written_in_pieces(tmp_path, monkeypatch):
 def test_a_run_shows_itself():
     run = run_of(7)
     assert repr(run) == run.summary()
-    shown = run._repr_html_()
-    assert shown.count("<tr>") == 6  # a head and five bodies
-    assert f"<td>{run.q[-1, 4, 2]:.6g}</td>" in shown
-    assert "exact on quat" in shown
+    assert "exact on quat" in repr(run)

@@ -5,8 +5,7 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from each import each
-from oracle import EPS, powers, relative, uniform
+from oracle import EPS, powers, uniform
 
 from fastatt.kernels import trig
 
@@ -52,17 +51,3 @@ def test_bounded_sincos_is_sincos_and_beyond_its_range_shows():
         assert trig.sincos_bounded(x) == trig.sincos(x)
     for x in (1e18, -1e20, 1e100, math.inf, math.nan):
         assert not math.hypot(*trig.sincos_bounded(x)) <= 1.0 + 1e-3
-
-
-def test_atan2():
-    around, size = uniform(-math.pi, math.pi, 2000), powers(-290, 290, 2000, 1)
-    points = [(r * math.sin(a), r * math.cos(a)) for a, r in zip(around, size, strict=True)]
-    points += [(y, x) for y in powers(-300, 300, 500, 2) for x in (1.0, -1.0)]
-    for y, x in points:
-        assert relative(trig.atan2(y, x), mp.atan2(y, x)) <= 4e-16
-
-
-@each("y", [0.0, 1.0, -1.0, 5e-324, -1e300])
-@each("x", [0.0, 1.0, -1.0, 5e-324, -1e300])
-def test_atan2_on_axes_and_diagonals(y, x):
-    assert trig.atan2(y, x) == pytest.approx(math.atan2(y, x), rel=4e-16, abs=0)

@@ -1,4 +1,4 @@
-"""Orders, error constants and invariants of every method for a given rate, over the list."""
+"""Orders and invariants of every method for a given rate, over the list."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from each import each
-from exact import (
-    START,
-    angle,
-    combinations,
-    generic,
-    observed_order,
-)
+from exact import START, angle, combinations, generic, observed_order
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.attitudes.attitude import FAMILIES
 from fastatt.engine.job import Job
+from fastatt.methods.windows import CHUNK, MOST_HISTORY
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.scene.equations import Body, Turning
 
@@ -46,12 +41,6 @@ def some(pairs):
 def test_observed_order_is_the_declared_one(method, representation):
     found = observed_order(lambda n: final_error(n, method, representation), SPAN)
     assert found == pytest.approx(fa.METHODS[method].order_of("rate"), abs=0.25)
-
-
-# error constants
-
-
-# a constant rate
 
 
 # time reversal
@@ -197,3 +186,8 @@ TORQUED = fa.Scene(inertia=(2.0, 1.0, 0.8), torque=fa.torques.QuadraticDamping(0
 def test_a_method_that_does_not_fit_says_why(scene, method, reason):
     with pytest.raises(ValueError, match=rf"^method: found '{method}'; accepted: .* \({reason}"):
         fa.propagate(scene, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3), dt=0.1, n_steps=1, method=method)
+
+
+def test_windows_fit_into_the_chunks_of_the_engine():
+    windows = [m.window for m in fa.METHODS.values() if m.window is not None]
+    assert all(CHUNK % w.span == 0 and w.history <= MOST_HISTORY for w in windows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -158,15 +159,10 @@ def test_no_polhode_of_a_flagged_body():
         run = fa.propagate(BODY, (1, 0, 0, 0), w0, **steps)
     assert run.status.astype(bool).tolist() == [False, True, False]
     assert len(drawn(plots.polhode, run, scene=BODY).axes[1].lines) == 2 * 2
-    with pytest.raises(ValueError, match="bodies: found 1, which is flagged"):
-        plots.polhode(run, BODY, "a.png", bodies=[0, 1])
-
-
-def test_polhodes_of_some_bodies():
-    run = run_of(9)
-    figure = drawn(plots.polhode, run, scene=BODY, bodies=[2, 5])
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["body 2", "body 5"]
+    (legend,) = drawn(plots.polhode, run, scene=BODY).legends
+    assert [text.get_text() for text in legend.get_texts()] == ["body 0", "body 2"]
+    with pytest.raises(ValueError, match="run: found flags of all bodies"):
+        plots.polhode(replace(run, status=run.status | 1), BODY, "a.png")
 
 
 def test_files(tmp_path):
@@ -181,7 +177,6 @@ def test_files(tmp_path):
     [
         ("history", {"saves": None}, "run: has 1 save; accepted: two or more"),
         ("polhode", {"scene": RATE}, "scene: found a rate; accepted: a scene with inertia"),
-        ("polhode", {"scene": BODY, "bodies": [1]}, r"bodies: found \[1\]; accepted: 1 to 8 of 0"),
     ],
 )
 def test_refusals(draw, given, message, tmp_path):
@@ -196,23 +191,26 @@ def test_what_is_no_run_is_refused(tmp_path):
         plots.history("run.csv", tmp_path / "a.png")
 
 
-def study_figure(monkeypatch, rows, heading):
+def study_figure(monkeypatch, drawn, heading):
     figures = []
     monkeypatch.setattr(study, "save", lambda figure, path: figures.append(figure))
-    study.draw(rows, heading, "")
+    study.draw(drawn, "time, µs", heading, "")
     return figures[0]
 
 
 def test_a_picture_of_errors_says_what_it_shows(monkeypatch):
-    methods = [
-        study.Curve("rk4", [1.0, 2.0], [1e-3, 1e-5]),
-        study.Curve("exact", [3.0], [0.0]),
-        study.Curve("cf4", [5.0, 6.0], [1e-2, 1e-4], leads=False),
+    drawn = [
+        study.Curve("error", name, *values)
+        for name in ("quat", "dcm")
+        for values in (
+            ("rk4", [1.0, 2.0], [1e-3, 1e-5]),
+            ("exact", [3.0], [0.0]),
+            ("cf4", [5.0, 6.0], [1e-2, 1e-4], False),
+        )
     ]
-    panels = [study.Panel(title, "time, µs", methods) for title in ("quaternion", "matrix")]
-    figure = study_figure(monkeypatch, {"error": panels}, "all")
+    figure = study_figure(monkeypatch, drawn, "all")
     assert figure.get_suptitle() == "all"
-    assert [axes.get_title() for axes in figure.axes] == ["quaternion", "matrix"]
+    assert [axes.get_title() for axes in figure.axes] == ["quaternion", "matrix (DCM)"]
     assert {axes.get_xlabel() for axes in figure.axes} == {"time, µs"}
     assert labels(figure) == ["error", ""]
     for axes in figure.axes:
@@ -229,9 +227,9 @@ def test_a_picture_of_errors_says_what_it_shows(monkeypatch):
 
 
 def test_a_picture_of_drifts_has_a_row_for_each_quantity(monkeypatch):
-    panels = [study.Panel("quaternion", "steps", [study.Curve("rk4", [1.0, 1e5], [1e-9, 1e-4])])]
-    rows = {"norm": panels, "energy": panels}
-    figure = study_figure(monkeypatch, rows, "drift")
+    values = "quat", "rk4", [1.0, 1e5], [1e-9, 1e-4]
+    drawn = [study.Curve(quantity, *values) for quantity in ("norm", "energy")]
+    figure = study_figure(monkeypatch, drawn, "drift")
     assert labels(figure) == ["norm", "energy"]
     assert all(axes.get_xscale() == axes.get_yscale() == "log" for axes in figure.axes)
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import fastatt as fa
-from fastatt import checks
 
 FREE = fa.Scene(inertia=(1.0, 1.1, 0.9))
 KINDS = {"double": np.float64, "single": np.float32, "list": list}
@@ -58,20 +57,3 @@ def test_durations_are_refused_with_what_makes_them_seconds(name, duration):
 @pytest.mark.parametrize("module", [fa, fa.rates, fa.torques, fa.forces])
 def test_names_on_offer_are_the_public_ones(module):
     assert dir(module) == sorted(module.__all__)
-
-
-@pytest.mark.parametrize(
-    ("words", "fitting", "others"),
-    [
-        ("a number, (3,) or (N, 3)", [(), (3,), (1, 3), (5, 3)], [(0, 3), (4,), (3, 4), (1, 1, 3)]),
-        ("(n, 2) or (6, 6)", [(9, 2), (6, 6)], [(), (6,), (7, 6), (0, 2)]),
-        ("(S,) times, s", [(1,), (8,)], [(), (0,), (1, 1)]),
-    ],
-)
-def test_shapes_are_those_that_a_message_names(words, fitting, others):
-    """A letter is any length but 0."""
-    for shape in fitting:
-        assert checks.array("x", np.zeros(shape), words).shape == shape
-    for shape in others:
-        with pytest.raises(ValueError, match=re.escape(f"accepted: {words}")):
-            checks.array("x", np.zeros(shape), words)

@@ -113,13 +113,6 @@ def test_drift_with_wheels():
     assert drift.energy.max() < 1e-13
 
 
-def test_drift_that_is_not_defined():
-    damped = fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.Damping(0.1))
-    traj = fa.propagate(damped, START, W[0, 0], dt=0.1, n_steps=1, save_every=1, method="rk4")
-    assert fa.drift(traj, damped).energy is None
-    assert fa.drift(traj, damped).momentum is None
-
-
 def test_refusals():
     for shape in ((4,), (3, 4), (4, 3, 4)):
         with pytest.raises(ValueError, match=r"inertia: has shape \(.*4,?\); accepted: \(3,\), "):
@@ -128,6 +121,3 @@ def test_refusals():
         fa.angular_momentum(W[:3], [[2.0, 1.0, 1.5]] * 3)
     with pytest.raises(ValueError, match=r"accepted: one number of bodies"):
         fa.angular_momentum(W, np.ones((N + 1, 3)))
-
-
-# the closed form as a method

@@ -99,17 +99,6 @@ def test_a_rate_that_jumps_across_zero_crosses_at_the_breakpoint():
         assert run.event_times[0] == pytest.approx(1.03, abs=1e-15)
 
 
-def test_in_the_shorter_last_step():
-    times = np.array([0.1, 0.9, 0.901, 0.93, 0.95])
-    scene = scene_of(rate(times), breakpoints=())
-    given = {"dt": 0.1, "method": "rk8", "events": [fa.event(reaches)]}
-    run = fa.propagate(scene, *start(5), t_end=0.95, **given)
-    np.testing.assert_allclose(run.event_times[:, 0], times, rtol=0.0, atol=1e-14)
-    given |= {"dt": -0.1, "t0": 0.95}
-    back = fa.propagate(scene, *start(5, rate(0.95)), t_end=-0.95, **given)
-    np.testing.assert_allclose(back.event_times[:, 0], times, rtol=0.0, atol=1e-14)
-
-
 def test_sampled_controllers():
     """Rates are straight lines between sample times, at which they bend."""
     control = fa.torques.SampledControl(lambda t, q, w, p: (0.0, 0.0, -0.8 * w[2] - 0.3), 0.5)

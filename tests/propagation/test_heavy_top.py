@@ -29,8 +29,11 @@ def tilted(angle, turn=0.3):
 
 
 def steady(angle, spin, fast, off=0.0):
-    """Start of a regular precession, and of one that nutates by ``off``."""
-    rate = float(ro.heavy_top_precession(1.0, 0.5, angle, spin, 1.0)[fast])
+    """Start of a regular precession, and of one that nutates by ``off``.
+
+    I1 cos θ φ̇² − I3 w3 φ̇ + m g l = 0 has a slow and a fast solution.
+    """
+    rate = np.roots([math.cos(angle), -0.5 * spin, 1.0]).real[0 if fast else 1]
     return tilted(angle, 0.0), (off, rate * math.sin(angle) + off, spin)
 
 
@@ -293,10 +296,10 @@ def test_turns_beyond_rounding_are_told():
 
 
 BAD = {
-    "arm shape": ({"arm": (1.0, 2.0)}, r"arm: has shape \(2,\)"),
+    "arm shape": ({"arm": (1.0, 2.0)}, r"HeavyTop.arm: has shape \(2,\)"),
     "arm rows": ({"arm": [THIRD] * 3}, "arm, weight: has 3 rows; accepted: one, or 2 as of q0"),
     "weight nan": ({"weight": math.nan}, "weight: found nan|weight is nan"),
-    "weight rows": ({"arm": [THIRD] * 2, "weight": np.ones(3)}, "weight: has 3 rows"),
+    "weight rows": ({"arm": [THIRD] * 2, "weight": np.ones(3)}, "for 2 and 3 bodies"),
     "off the axis": ({"arm": (1.0, 0.0, 0.0)}, r"with arm \(1, 0, 0\) along principal axes"),
 }
 

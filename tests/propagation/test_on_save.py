@@ -44,6 +44,12 @@ def test_one_bar_for_all_pieces(bars, method):
     assert found == pytest.approx([*(0.5 * np.arange(34)), 16.65])
 
 
+def test_a_bar_counts_the_steps_of_all_bodies(bars):
+    run(n_steps=130, n_threads=2, method="rk4")
+    ((total, done),) = bars
+    assert sum(done) == total == 70 * 130
+
+
 def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     """The wait is over, or said to be one, before there is anything to count."""
     opened_at_compilation = []

@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import fastatt as fa
 from fastatt.propagation.options import FORBIDDEN
@@ -89,25 +88,6 @@ def test_the_page_shows_the_table():
     assert len(FORBIDDEN) <= 6
 
 
-@pytest.mark.parametrize("method", ["rk4", "rk8", "kahan_li8", "dmv10"])
-@pytest.mark.parametrize("options", [{"normalise": 3}, {"compensated": True}])
-def test_saves_between_steps_change_no_step(method, options):
-    """Also of a state that is projected, or carries what rounding leaves out."""
-    if not fa.METHODS[method].compensates:
-        options = {"normalise": 3}
-    steps = {"dt": 0.1, "method": method, "t_end": 1.0, **options}
-    every = fa.propagate(FREE, **START, **steps, save_every=1)
-    run = fa.propagate(FREE, **START, **steps, save_at=[0.25, 0.5, 0.77, 1.0])
-    assert (run.q[[1, 3]] == every.q[[5, 10]]).all()
-    exact = fa.closed_form.free_body(START["q0"], START["w0"], FREE.inertia, run.t)[0]
-    assert fa.angle_between(run.q, exact).max() < 1e-6
-    own = {**steps, "dt": [0.1, 0.05]}
-    both = fa.propagate(FREE, **START, **own)
-    for b, dt in enumerate(own["dt"]):
-        alone = fa.propagate(FREE, *(x[b] for x in START.values()), **{**own, "dt": dt})
-        assert (both.q[:, b] == alone.q).all()
-
-
 def test_saves_at_any_times_are_handed_out(tmp_path):
     times = np.sort(np.random.default_rng(1).uniform(0.0, 4.0, 50))
     steps = {"dt": 0.1, "method": "rk4", "t_end": 4.0, "save_at": times}
@@ -121,13 +101,3 @@ def test_saves_at_any_times_are_handed_out(tmp_path):
     end = fa.propagate(FREE, **START, dt=0.1, method="rk4", n_steps=60).q
     assert (fa.resume(FREE, file, n_steps=20).q == end).all()
     assert (fa.resume(FREE, whole, t_end=6.0).q == end).all()
-
-
-def test_options_that_need_a_third(tmp_path):
-    """Saves that are passed on come at intervals."""
-    kept = options_of(("on_save=",), None)
-    with pytest.raises(ValueError, match="on_save: found without saves"):
-        fa.propagate(FREE, **{**kept, "save_every": None})
-    both = [kept["on_save"], fa.to_file(tmp_path / "saves.npy")]
-    fa.propagate(FREE, **{**kept, "on_save": both})
-    assert (tmp_path / "saves.npy").exists()

@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from each import each
+from exact import RALSTON3
 from test_plan import BODY, OWN, Q0, RNG, SCENES, W0, bits, rates_of, swing
 
 import fastatt as fa
@@ -30,9 +31,6 @@ from fastatt.propagation import end, execute, histories
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
-RALSTON3 = fa.runge_kutta(
-    "ralston3", order=3, c=(0, 1 / 2, 3 / 4), a=((1 / 2,), (0, 3 / 4)), b=(2 / 9, 1 / 3, 4 / 9)
-)
 RK4 = {"dt": 0.05, "method": "rk4"}
 Q, W = RNG.normal(size=(MANY, 4)), RNG.normal(size=(MANY, 3))
 
@@ -111,7 +109,8 @@ def test_from_a_file(tmp_path):
     assert bits(second) == bits(whole)
     assert [p.name for p in tmp_path.iterdir()] == ["end"]
     # but for what the saves between them told: the largest norm error, and of invariants
-    assert second.end.states[:, :-3].tobytes() == whole.end.states[:, :-3].tobytes()
+    ends = [run.end.arrays["states"][:, :-3].tobytes() for run in (second, whole)]
+    assert ends[0] == ends[1]
     assert second.end.about["done"] == 9
 
 
@@ -200,9 +199,6 @@ def test_another_method_is_refused():
     "options, message",
     [
         ({"t_end": 0.05}, r"t_end: found 0\.05; accepted: 0\.1, the end of the run, or after it"),
-        ({"t_end": math.nan}, "t_end: found nan; accepted: a finite number"),
-        ({"t_end": 1e300}, r"dt, t_end: found 2e\+301 steps in"),
-        ({"t_end": 0.5, "n_steps": 1}, "n_steps: found with t_end; accepted: one of them"),
         ({}, "n_steps, t_end: found neither; accepted: one of them"),
         ({"n_steps": 1, "on_save": print}, "on_save: found without saves"),
     ],
@@ -449,7 +445,7 @@ def heard():
 
 @pytest.mark.usefixtures("heard")
 def test_ctrl_c_keeps_what_is_done(monkeypatch):
-    """In a thread that waits for others: they finish their pieces, and begin no more."""
+    """In a thread that waits for others: they finish their tiles, and begin no more."""
     pressed = itertools.count()
 
     def press():
@@ -457,21 +453,22 @@ def test_ctrl_c_keeps_what_is_done(monkeypatch):
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         time.sleep(0.3)  # for all that did not begin to be called off
 
+    monkeypatch.setattr(pool, "_OPERATIONS", 1 << 24)  # several pieces
     rng = np.random.default_rng(1)
     q, w = rng.normal(size=(64 * 32, 4)), rng.normal(size=(64 * 32, 3))
-    options = {"n_steps": 640, "save_every": 64, "n_threads": 2, **RK4}
+    options = {"n_steps": 10_240, "save_every": 1024, "n_threads": 2, **RK4}
     whole = fa.propagate(SCENES["free"], q, w, **options)
-    interrupted(monkeypatch, 3, press)
+    interrupted(monkeypatch, 19, press)
     with pytest.raises(KeyboardInterrupt) as stopped:
         fa.propagate(SCENES["free"], q, w, **options)
     run = stopped.value.trajectory
-    left = run.status == UNFINISHED
-    assert 0 < left.sum() < left.size
-    assert run.q[:, ~left].tobytes() == whole.q[:, ~left].tobytes()
-    assert run.w[:, ~left].tobytes() == whole.w[:, ~left].tobytes()
-    assert np.isnan(run.q[:, left]).all()
-    assert np.isnan(run.norm_error[:, left]).all()
-    assert run.status_counts() == {"UNFINISHED": left.sum()}
+    saves = int(np.isfinite(run.q[:, 0, 0]).sum())
+    assert 0 < saves < len(run.t)
+    assert run.q[:saves].tobytes() == whole.q[:saves].tobytes()
+    assert run.w[:saves].tobytes() == whole.w[:saves].tobytes()
+    assert np.isnan(run.q[saves:]).all()
+    assert np.isnan(run.norm_error[saves:]).all()
+    assert run.status_counts() == {"UNFINISHED": 64 * 32}
 
 
 def stepwise(t, p):  # no straight line
@@ -499,23 +496,6 @@ def test_ctrl_c_is_looked_for_before_a_called_function_took_long(rate, is_called
     assert pieces[0] == ((CALLING_LENGTH, 1) if is_called else (1000, 4))
     assert len(pieces) > 4 if is_called else len(pieces) == 1
     assert {n for _, n in pieces} == {1 if is_called else 4}
-
-
-def test_ctrl_c_is_looked_for_on_the_way(monkeypatch):
-    """Of one tile too: the saves of the steps that were done stay."""
-    options = {"n_steps": 10**9, "save_every": 10**5, **RK4}
-    interrupted(monkeypatch, 4, stop)
-    with pytest.raises(InterruptedRun) as stopped:
-        fa.propagate(SCENES["free"], Q0, W0, **options)
-    run = stopped.value.trajectory
-    kept = np.isfinite(run.q).all(axis=(1, 2))
-    assert 1 < kept.sum() < kept.size
-    assert kept[: kept.sum()].all()
-    assert (run.status == UNFINISHED).all()
-    monkeypatch.undo()
-    steps = int(kept.sum() - 1) * 10**5
-    wanted = fa.propagate(SCENES["free"], Q0, W0, **{**options, "n_steps": steps})
-    assert run.q[kept].tobytes() == wanted.q.tobytes()
 
 
 @pytest.mark.parametrize("own", [False, True])

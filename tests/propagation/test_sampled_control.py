@@ -7,8 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
-from fastatt.propagation.breakpoints import breaks_of
-from fastatt.scene.models import Sampling
+from fastatt.propagation.breakpoints import breaks_within
 
 J = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
 Q0 = np.array([0.8, 0.0, 0.6, 0.0])
@@ -114,22 +113,10 @@ def test_another_controller_is_refused():
         fa.resume(fa.Scene(inertia=J, torque=changed), first, n_steps=5)
 
 
-def test_saves_at_any_times_and_per_body_steps():
-    at = [0.0, 0.1, 0.25, 0.6, END]
-    run = fa.propagate(SCENE, Q0, W0, s0=S0, dt=0.03, t_end=END, save_at=at, method="rk8")
-    for k in (1, 2, 3, 4):
-        q, _, s = truth(at[k])
-        assert fa.angle_between(run.q[k], q) < 1e-11
-        np.testing.assert_allclose(run.s[k], s, rtol=0.0, atol=1e-11)
-    assert run.s[0].tolist() == S0.tolist()
-    two = fa.propagate(SCENE, [Q0, Q0], W0, s0=S0, dt=[0.05, 0.04], n_steps=[40, 50], method="rk8")
-    for body in range(2):
-        assert fa.angle_between(two.q[-1, body], WANTED[0]) < 1e-11
-        np.testing.assert_allclose(two.s[-1, body], WANTED[2], rtol=0.0, atol=1e-11)
-
-
 def test_breakpoints_that_are_sample_times_to_rounding_count_once():
-    found = breaks_of((0.25, 0.3, 0.7), 0.0, 1.0, Sampling(0.1, 0.0))
+    law = fa.torques.SampledControl(pid, 0.1, GAINS, states=4)
+    scene = fa.Scene(inertia=J, torque=law, breakpoints=(0.25, 0.3, 0.7))
+    found = breaks_within(scene, 0.0, 1.0)
     np.testing.assert_allclose(found.times, np.sort([0.25, *np.arange(10) / 10]), rtol=1e-15)
     assert (found.jumps == (found.times != 0.25)).all()
 

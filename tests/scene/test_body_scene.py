@@ -1,16 +1,13 @@
-"""Rigid bodies through the library call: ensembles, threads, saves, tensors, status, errors."""
+"""Runs of rigid bodies: shapes, tensors, names of axes, precision, bodies at rest."""
 
 from __future__ import annotations
 
 import itertools
-import re
 
 import numpy as np
 import pytest
 from each import each
 from exact import EPS, LENGTHY, START, angle, exp, mul
-from machine_code import assemblies, is_packed, job_of, large_loops, needs_avx
-from numba import njit
 
 import fastatt as fa
 from fastatt.propagation.choice_of_method import methods_for
@@ -75,10 +72,6 @@ EVERY = [
     if m not in LENGTHY
 ]
 every_method = each(("kind", "method"), EVERY)
-# for what the loop and the emitter do, which do not know the method
-some_methods = pytest.mark.parametrize(
-    ("kind", "method"), [("free", "dmv10"), ("torqued", "rk4"), ("torqued", "kahan_li8")]
-)
 
 
 def run(scene, q0=Q0, w0=W0, method="rk4", representation="quat", n=STEPS, h=H, **options):
@@ -94,9 +87,6 @@ def same(a, b):
 def gap(a, b):
     """Largest difference of attitudes and rates at the end."""
     return max(angle(a.q[-1], b.q[-1]).max(), np.abs(a.w[-1] - b.w[-1]).max())
-
-
-# an ensemble is its bodies
 
 
 def test_first_save_is_what_was_given():
@@ -125,34 +115,6 @@ def test_arguments_are_not_changed():
     kept = [x.copy() for x in given]
     run(torqued(), Q0, W0, save_every=1)
     assert all(map(same, given, kept))
-
-
-@pytest.mark.parametrize("method", ["rk8", "kahan_li8"])
-def test_t0_is_the_time_of_the_torque(method):
-    """Two halves of a run under gravity gradient are the whole."""
-    scene = torqued()
-    whole, half = (run(scene, method=method, n=n) for n in (STEPS, STEPS // 2))
-    for t0 in (STEPS // 2 * H, 0.0):
-        rest = run(scene, half.q[-1], half.w[-1], method, n=STEPS // 2, t0=t0)
-        assert (gap(rest, whole) < STEPS * 32 * EPS) if t0 else (gap(rest, whole) > 1e-3)
-
-
-# representations
-
-
-@pytest.mark.parametrize("representation", ["dcm", "dcm_rows", "euler313"])
-def test_representations_agree(representation):
-    """To what RK4 leaves at this step, which falls by 16 with half of it."""
-    bodies = slice(6)
-    q0, w0 = np.tile(START, (6, 1)), np.tile(SPIN, (6, 1))
-    reference = run(free(bodies), q0, w0, "rk8", n=100, h=0.01)
-    errors = []
-    for n in (100, 200):
-        traj = run(free(bodies), q0, w0, "rk4", representation, n=n, h=1.0 / n)
-        assert not traj.status.any()
-        errors.append(gap(traj, reference))
-    assert errors[0] < 1e-7
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
 
 
 # tensors
@@ -223,9 +185,6 @@ def test_float32_is_float64_to_its_rounding(kind, method):
     assert asked.q.dtype == np.float32
 
 
-# extremes
-
-
 @every_method
 def test_at_rest(kind, method):
     """A body at rest stays, to the last bit, where nothing acts."""
@@ -237,25 +196,6 @@ def test_at_rest(kind, method):
     assert same(traj.q[1], traj.q[0])
 
 
-@each("method", [m for kind, m in EVERY if kind == "free" and fa.METHODS[m].measure == "momentum"])
-@each("rate", [3.0, 1e3, 1e12, 1e160])
-def test_step_beyond_the_implicit_methods_is_flagged(method, rate):
-    """For that body alone: its neighbours keep every bit. A stage is at least a third of a step."""
-    w0 = W0[:64].copy()
-    w0[[7, 40]] = rate / H * np.array([2.0, -1.0, 2.0]) / 3.0
-    options = {"method": method, "save_every": 9}
-    with np.errstate(all="raise"):
-        alone = run(free(slice(64)), Q0[:64], W0[:64], **options)
-        together = run(free(slice(64)), Q0[:64], w0, **options)
-    flags = fa.Status.STEP_TOO_LARGE | fa.Status.NOT_CONVERGED | fa.Status.NON_FINITE
-    assert (together.status[[7, 40]] & flags != 0).all()
-    others = [b for b in range(64) if b not in (7, 40)]
-    assert not alone.status.any()
-    for name in ("q", "w"):
-        assert same(getattr(together, name)[:, others], getattr(alone, name)[:, others])
-    assert same(together.status[others], alone.status[others])
-
-
 @every_method
 def test_steps_that_a_method_takes_are_not_flagged(kind, method):
     """|w| h of 0.15 is a step for every one."""
@@ -264,131 +204,8 @@ def test_steps_that_a_method_takes_are_not_flagged(kind, method):
     assert traj.status_counts() == {}
 
 
-def test_stiff_damping_needs_the_splittings():
-    """RK4 leaves its region of stability at c h/I = 2.785; the damping of a kick is exact."""
-    c = np.array([1.0, 2.6, 2.9, 10.0, 100.0])
-    q0, w0 = Q0[:5], np.tile(0.1 * SPIN, (5, 1))
-    grown = np.abs(run(damped(c), q0, w0, "rk4", n=200, h=1.0).w[-1]).max(axis=1)
-    assert (grown[:2] < 0.1).all()
-    assert not (grown[2:] < 1.0).any()
-    traj = run(damped(c), q0, w0, "strang2", n=20, h=1.0)
-    assert np.abs(traj.w[-1] - np.exp(-20.0 * c)[:, None] * w0).max() < 1e-15
-
-
 def test_damping_that_underflows():
     """A body that stops at once is at rest, or its status says that it is not known."""
     scene = damped(np.full(5, 1e6))
     traj = run(scene, Q0[:5], np.tile(SPIN, (5, 1)), "strang2", n=3, h=0.1)
     assert ((traj.status != 0) | (np.abs(traj.w[-1]) < 1e-15).all(axis=1)).all()
-
-
-# packed code
-
-
-def steps_of(monkeypatch, scene, method, **options):
-    """For each program of a run its loops with a step's worth of arithmetic."""
-
-    def call():
-        run(scene, Q0[:64], W0[:64], method, n=4, n_threads=1, **options)
-
-    job = job_of(monkeypatch, call)
-    return [large_loops(text) for text in assemblies(job)]
-
-
-@needs_avx
-@some_methods
-def test_step_is_packed(monkeypatch, kind, method):
-    """Bodies with inertia and torques of their own."""
-    for loops in steps_of(monkeypatch, SCENES[kind](slice(64)), method):
-        assert loops
-        assert all(map(is_packed, loops))
-
-
-@njit
-def weight_and_damping(t, q, w, p):
-    """A weight at p[:3], linear damping p[3]."""
-    x = 2.0 * (q[1] * q[3] - q[0] * q[2])
-    y = 2.0 * (q[2] * q[3] + q[0] * q[1])
-    z = q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3]
-    return (
-        -(p[1] * z - p[2] * y) - p[3] * w[0],
-        -(p[2] * x - p[0] * z) - p[3] * w[1],
-        -(p[0] * y - p[1] * x) - p[3] * w[2],
-    )
-
-
-@needs_avx
-def test_step_with_a_users_torque_is_packed(monkeypatch):
-    params = np.concatenate([DIPOLE[0][:64], DRAG[:64]], axis=1)
-    scene = fa.Scene(inertia=INERTIA[:64], torque=weight_and_damping, params=params)
-    for loops in steps_of(monkeypatch, scene, "rk4"):
-        assert loops
-        assert all(map(is_packed, loops))
-
-
-# wrong input
-
-
-ONE = fa.Scene(inertia=MOMENTS)
-TWO = fa.Scene(inertia=[MOMENTS, MOMENTS])
-RATE = fa.Scene(rate=fa.rates.Constant([0.0, 0.0, 1.0]))
-LINEAR = fa.torques.Damping(0.1)
-
-
-def propagate(scene=ONE, q0=START, w0=SPIN, **options):
-    return fa.propagate(scene, q0, w0, **{"dt": 0.1, "n_steps": 3, **options})
-
-
-FREE_NAMES = ", ".join(methods_for(ONE))
-PROPAGATE = [
-    ({"w0": None}, "w0: is missing; a scene with inertia needs (3,) or (N, 3), rad/s"),
-    ({"w0": [1.0, 2.0]}, "w0: has shape (2,); accepted: (3,) or (N, 3)"),
-    ({"w0": np.zeros((0, 3))}, "w0: has shape (0, 3)"),
-    ({"w0": [0.0, np.nan, 1.0]}, "w0[1] is nan; accepted: finite numbers"),
-    ({"w0": [[0.0, 0.0, 1.0], [0.0, np.inf, 0.0]]}, "w0[1, 1] is inf"),
-    ({"w0": "fast"}, "w0: found 'fast'; accepted: real numbers of shape (3,)"),
-    ({"scene": RATE}, "w0: found, but this scene has none; a scene with inertia"),
-    ({"q0": [START] * 2, "w0": [SPIN] * 3}, "w0: found rows w0 3, q0 2; accepted: one number of"),
-    ({"scene": TWO, "q0": [START] * 5}, "inertia: found 2 bodies; accepted: 5"),
-    ({"method": "rk5"}, f"method: found 'rk5'; accepted: {FREE_NAMES}"),
-    ({"method": "magnus4"}, f"method: found 'magnus4'; accepted: {FREE_NAMES}"),
-    (
-        {"scene": fa.Scene(inertia=MOMENTS, torque=LINEAR), "method": "dmv2"},
-        "method: found 'dmv2'; accepted: rk4, cf4, rkmk4, rk8, rk9, gbs16, strang2",
-    ),
-    ({"method": "strang2", "representation": "euler313"}, 'method for representation "euler313"'),
-    ({"method": "strang2", "representation": "dcm_rows"}, 'method for representation "dcm_rows"'),
-]
-
-
-@each(("arguments", "message"), PROPAGATE)
-def test_propagate_refuses(arguments, message):
-    error = TypeError if "real numbers" in message else ValueError
-    with pytest.raises(error, match=re.escape(message)):
-        propagate(**arguments)
-
-
-ABOUT_Z = fa.rates.Constant([0.0, 0.0, 1.0])
-SCENE = [
-    ({}, "rate, inertia: found neither; accepted: one of them"),
-    ({"inertia": MOMENTS, "rate": ABOUT_Z}, "rate, inertia: found both; accepted: one of them"),
-    ({"rate": ABOUT_Z, "torque": LINEAR}, "torque: found with a rate; accepted: with inertia only"),
-    ({"torque": LINEAR}, "rate, inertia: found neither, with a torque, which needs inertia; acc"),
-    ({"inertia": MOMENTS, "frame": "inertial"}, 'frame: found "inertial" with inertia; accepted: '),
-    (
-        {"inertia": [MOMENTS] * 4, "torque": fa.torques.Damping([[0.1], [0.2]])},
-        "found parameters for 2 and 4 bodies",
-    ),
-]
-
-
-@each(("arguments", "message"), SCENE)
-def test_scene_refuses(arguments, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        fa.Scene(**arguments)
-
-
-def test_directions_need_a_rate():
-    message = re.escape("scene: found inertia, mass or states; accepted: a scene with a rate alone")
-    with pytest.raises(ValueError, match=message):
-        fa.propagate_directions(ONE, [0.0, 0.0, 1.0], dt=0.1, n_steps=1)

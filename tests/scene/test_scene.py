@@ -227,8 +227,8 @@ NOTHING = np.zeros((0, 3))
 EMPTY = [
     (lambda: fa.Scene(inertia=NOTHING), "inertia: has shape (0, 3) and is empty; accepted: (3,)"),
     (lambda: fa.Scene(inertia=np.zeros((0, 3, 3))), "inertia: has shape (0, 3, 3) and is empty"),
-    (lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)), "Constant.w has shape (0, 3) and is empty"),
-    (lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)), "Coning.angle has shape (0,) and is empty"),
+    (lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)), "Constant.w: has shape (0, 3)"),
+    (lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)), "Coning.angle: has shape (0,) and is empty"),
     (lambda: fa.Scene(rate=given_rate, params=NOTHING), "params: has shape (0, 3) and is empty"),
     (lambda: fa.Scene(inertia=(1, 1, 1), mass=[], force=(0, 0, 1)), "mass: has shape (0,) and is "),
     (
@@ -244,3 +244,12 @@ EMPTY = [
 def test_a_scene_of_no_bodies_is_refused(make, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         make()
+
+
+def test_a_scene_of_many_bodies_is_printed_in_a_line():
+    moments = np.random.default_rng(0).uniform(1.0, 1.3, (500, 3))
+    scene = fa.Scene(inertia=moments, torque=fa.torques.GravityGradient(np.full(500, 1e-3)))
+    text = str(scene)
+    assert "\n" not in text
+    assert len(text) < 200
+    assert text.startswith("Scene(inertia=array([[")

@@ -9,14 +9,13 @@ import re
 import numpy as np
 import pytest
 from each import each
-from scipy.integrate import solve_ivp
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import rows
 from fastatt.estimation.tangent import own_numbers
 from fastatt.scene import forces, models, torque_record, torques
-from fastatt.scene.torque_record import Pose, pack
+from fastatt.scene.torque_record import CoupledStates, Pose, pack
 from fastatt.tracing.user import user_function
 
 EPS = np.finfo(np.float64).eps
@@ -181,21 +180,6 @@ def of_rows(table):
 RUN = {"dt": 0.05, "n_steps": 40, "t0": 1.0, "save_every": 8, "method": "magnus4"}
 
 
-@pytest.mark.parametrize("kind", ["linear", "cubic"])
-def test_a_rate_from_a_table_turns_as_the_function_does(kind):
-    """The angle is at most the integral of the rate's error; both runs' steps err alike."""
-    model = fa.rates.Sinusoidal((0.0,) * 3, (1.0,) * 3, FREQUENCY)
-    exact = fa.propagate(fa.Scene(rate=model), Q0, **RUN)
-    times = uniform(41)
-    scene = fa.Scene(rate=of_table(wave_table(times, kind)))
-    assert scene.functions[0].followed
-    found = fa.propagate(scene, Q0, **RUN)
-    bound = np.linalg.norm(KINDS[kind][2](times[1] - times[0]))
-    apart = fa.angle_between(found.q, exact.q)
-    assert 0.0 < apart.max() <= 2.0 * bound
-    assert np.abs(found.w - wave(found.t)).max() < 4 * EPS  # saves lie at samples
-
-
 def test_each_body_reads_its_row():
     times = uniform(21)
     table = fa.TimeSeries(times, RNG.normal(size=(3, 21, 3)))
@@ -258,7 +242,8 @@ def test_a_table_that_does_not_change_is_its_number(model, name, own):
     def acting(law):
         def formula(t, q, w, p):
             if base is forces.Force:
-                return law.formula(t, q, w, (0.1, 0.2, 0.3), (), (), p)
+                coupled = CoupledStates((0.1, 0.2, 0.3))
+                return law.formula(t, Pose(QUATERNION, q, w, coupled=coupled), p)
             return law.formula(t, Pose(QUATERNION, q, w, INERTIA), p)
 
         return rows(formula, {"t": None, "q": 4, "w": 3, "p": law.count}, (3,))
@@ -387,40 +372,6 @@ def test_a_controller_takes_the_rate_of_its_target_off():
     expected = [np.zeros(3), -0.4 * off[1:] - 0.3 * relative]
     # derivatives of a cubic err by h³/24 and by the slopes' h⁴/5 of the derivatives' scale
     assert np.abs(found - expected).max() < 4.0 * (h**3 / 24.0 + h**4 / 5.0)
-
-
-def test_gravity_gradient_on_an_eccentric_orbit():
-    """A table of an orbit, beside the body integrated together with it by SciPy's DOP853."""
-    e, moments, w0 = 0.4, np.array(INERTIA), (0.2, -0.3, 1.1)
-
-    def slope(t, y):
-        q, w, r, v = np.split(y, (4, 7, 10))
-        distance = np.linalg.norm(r)
-        o = fa.quat_rotate_inverse(q, r / distance)
-        torque = 3.0 / distance**3 * np.cross(o, moments * o)
-        turned = 0.5 * fa.quat_multiply(q, np.array([0.0, *w]))
-        spin = (np.cross(moments * w, w) + torque) / moments
-        return np.concatenate([turned, spin, v, -r / distance**3])
-
-    start = np.array([*Q0, *w0, 1 - e, 0, 0, 0, math.sqrt((1 + e) / (1 - e)), 0])
-    times = np.linspace(0.0, math.pi, 801)
-    tight = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
-    known = solve_ivp(slope, (0.0, math.pi), start, t_eval=times, **tight).y.T
-    position = known[:, 7:10]
-    table = fa.TimeSeries(times[::4], position[::4], slopes=known[::4, 10:])
-    scene = fa.Scene(inertia=INERTIA, torque=torques.GravityGradientAt(table, 1.0))
-    coarse, fine = (
-        fa.propagate(scene, Q0, w0, dt=math.pi / n, n_steps=n, method="rk4").q[-1]
-        for n in (400, 800)
-    )
-    # of order 4: what halving the step changes is 15 times what is left; as much for curvature
-    left = 2.0 * fa.angle_between(coarse, fine) / 15.0
-    assert left < 1e-6
-    off = np.linalg.norm(table.at(times) - position, axis=-1) / np.linalg.norm(position, axis=-1)
-    # μ r⁻⁵ r r: of a position that is off, as a torque that acts at periapsis all the time
-    torque = 3.0 / (1 - e) ** 3 * 5.0 * off.max()
-    bound = left + 0.5 * torque * math.pi**2
-    assert fa.angle_between(fine, known[-1, :4]) < bound < 1e-5
 
 
 def test_tables_are_values():

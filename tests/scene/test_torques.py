@@ -1,8 +1,4 @@
-"""Torques against their definitions in mpmath, motions under them, users' torques.
-
-One sum of every built-in model with each body's own numbers serves most tests: zeros switch a term
-off, and the sum is compiled once.
-"""
+"""Torques against their definitions in mpmath, motions under them, users' torques."""
 
 from __future__ import annotations
 
@@ -32,7 +28,6 @@ AXES = exp([0.3, -0.5, 0.7])  # where the principal axes of the tensors lie
 SPIN = np.array([0.9, -0.4, 1.2])
 TARGET = tuple(mul(START, exp(SPIN)).tolist())  # ahead: less than half a turn away throughout
 RADIAL, ALONG = (0.0, 0.6, 0.8), (1.0, 0.0, 0.0)
-FAR = (1e30, 0.0, 0.0)  # from a planet: its gravity gradient is none
 SPAN = 2.0
 
 
@@ -140,76 +135,13 @@ def test_torque_is_its_definition(name, representation):
         assert close(found, along @ np.array(exact(t, q, w), float)) < 20 * EPS
 
 
-def test_sum_of_one_and_of_sums():
-    constant, damping, rotor = (MODELS[n][0] for n in ("Constant", "Damping", "Rotor"))
-    t, q, w = next(iter(states()))
-
-    def found(model):
-        return np.array(found_torque(model, "quat", t, q, w, AXES))
-
-    parts = found(constant) + found(damping) + found(rotor)
-    assert np.array_equal(found(Sum((rotor,))), found(rotor))
-    for terms in ((constant, damping, rotor), (constant, Sum((damping, rotor)))):
-        assert close(found(Sum(terms)), parts) < 4 * EPS
-
-
 # motions
-
-
-ZEROS = {
-    "Constant": (np.zeros(3),),
-    "ConstantInertial": (np.zeros(3),),
-    "Damping": (np.zeros(1),),
-    "DampingOfAxes": (np.zeros(3),),
-    "QuadraticDamping": (0.0,),
-    "GravityGradient": (0.0, ALONG, (0.0, 1.0, 0.0)),
-    "GravityGradientAt": (FAR, 1.0),
-    "HeavyTop": (np.zeros(3), 0.0),
-    "MagneticDipole": (np.zeros(3), np.zeros(3)),
-    "QuaternionPD": (np.zeros((1, 1)), np.zeros((1, 1)), (1.0, 0.0, 0.0, 0.0)),
-    "Rotor": (np.zeros(3),),
-}
-
-
-def every(n, **terms):
-    """All built-in models for n bodies, each with its own numbers; those not named are zero."""
-    made = []
-    for name, default in ZEROS.items():
-        given = [*terms.get(name, ()), *default[len(terms.get(name, ())) :]]
-        each = [np.broadcast_to(a, (n, *np.shape(d))) for a, d in zip(given, default, strict=True)]
-        made.append(getattr(ft, name.removesuffix("OfAxes"))(*each))
-    return Sum(tuple(made))
-
-
-def one_each():
-    """Body i has model i alone, the last one all of them."""
-    n, terms = len(MODELS) + 1, {}
-    for i, (name, (model, _)) in enumerate(MODELS.items()):
-        given = [np.array(value) for value in model.values if value is not None]  # no limit
-        terms[name] = []
-        for value, zero in zip(given, ZEROS[name], strict=True):
-            row = np.tile(zero, (n, *[1] * np.ndim(zero)))
-            row[[i, -1]] = value
-            terms[name].append(row)
-    terms["QuaternionPD"][2][:, :] = TARGET
-    return every(n, **terms)
-
-
-def definitions(inertia):
-    alone = [MODELS[name][1](inertia) for name in MODELS]
-    return [*alone, ro.total(*alone)]
 
 
 def ends(inertia, actings, q0=START, w0=SPIN, t=SPAN, digits=18):
     """(q, w) of bodies at the end."""
     found = [ro.integrate(inertia, q0.tolist(), w0.tolist(), t, f, digits=digits) for f in actings]
     return np.array([floats(s.q) for s in found]), np.array([floats(s.w) for s in found])
-
-
-def bodies(torque, inertia=INERTIA):
-    """A scene in which every body has its own moments."""
-    n = len(torque.terms[0].torque)
-    return fa.Scene(inertia=np.tile(inertia, (n, *[1] * np.ndim(inertia))), torque=torque)
 
 
 def ends_at(traj, q, w):
@@ -231,11 +163,11 @@ def run(scene, q0=START, w0=SPIN, n=64, t=SPAN, method="rk8", **options):
     [(INERTIA, {}), (TURNED, {"n": 4000, "method": "rkmk4"})],
     ids=["moments", "tensor"],
 )
-def test_motion_under_each_torque_and_under_all(inertia, options):
+def test_motion_under_all_torques(inertia, options):
     """Of a tensor principal axes are turned against the body's."""
-    actings = definitions(inertia)
-    scene = bodies(one_each(), inertia)
-    ends_at(run(scene, [START] * len(actings), **options), *ends(inertia, actings))
+    scene = fa.Scene(inertia=inertia, torque=Sum(tuple(model for model, _ in MODELS.values())))
+    acting = ro.total(*(definition(inertia) for _, definition in MODELS.values()))
+    ends_at(run(scene, **options), *ends(inertia, [acting]))
 
 
 OWN_GAINS = [[[0.4]], [[0.1]]]
@@ -312,16 +244,6 @@ def test_user_torque_is_the_built_in_one(axes):
     for t, q, w in states():
         a, b = (found_torque(m, "quat", t, q, w, axes) for m in (theirs, ours))
         assert close(a, b) < 20 * EPS
-
-
-def test_motion_under_a_user_torque_with_each_bodys_parameters():
-    n = 5
-    arms = np.random.default_rng(2).normal(size=(n, 3)) * 0.3
-    params = np.concatenate([arms, np.full((n, 1), 2.0), np.full((n, 1), 0.2)], axis=1)
-    scene = fa.Scene(inertia=INERTIA, torque=weight_and_damping, params=params)
-    actings = [ro.total(ro.heavy_top(2.0, tuple(a)), ro.linear_damping(0.2)) for a in arms]
-    traj = run(scene, [START] * n, n=4000, method="rkmk4")
-    ends_at(traj, *ends(INERTIA, actings))
 
 
 def test_user_torque_that_does_not_use_the_rate():
@@ -503,18 +425,17 @@ def test_torques_that_keep_an_energy(names, kept):
 
 
 WRONG = [
-    (ft.Damping("much"), "torque: Damping.coefficient: found 'much'; accepted: finite"),
+    (ft.Damping("much"), "torque: Damping.coefficient: found 'much'; accepted: real"),
     (ft.Damping(np.nan), "torque: Damping.coefficient is nan"),
-    (ft.Constant([1.0, 2.0]), "torque: Constant.torque has shape (2,); accepted are (3,)"),
+    (ft.Constant([1.0, 2.0]), "torque: Constant.torque: has shape (2,); accepted: (3,)"),
     (ft.Constant([[1.0, np.inf, 0.0]]), "torque: Constant.torque[0, 1] is inf"),
-    (ft.HeavyTop([0.0, 0.0, 1.0], [[1.0]]), "torque: HeavyTop.weight has shape (1, 1)"),
+    (ft.HeavyTop([0.0, 0.0, 1.0], [[1.0]]), "torque: HeavyTop.weight: has shape (1, 1)"),
     (ft.MagneticDipole(np.ones((2, 3)), np.ones((4, 3))), "torque: MagneticDipole: found paramete"),
-    (ft.QuaternionPD(1.0, 1.0, [1.0, 0.0, 0.0]), "QuaternionPD.target has shape (3,)"),
-    (ft.Damping([0.1, 0.2]), "has shape (2,); accepted: a number, (3,) per axis, (N, 1) or (N, 3)"),
-    (Sum(()), "torque: Sum.terms is empty"),
-    (Sum((ft.Damping(1.0), 3.0)), "torque: Sum: found float; accepted is a model of"),
-    (3.0, "torque: found float; accepted is a model of fastatt.torques (CentralGravityGradient"),
-    (fa.rates.Constant([1.0, 0.0, 0.0]), "torque: found Constant; accepted is a model"),
+    (ft.QuaternionPD(1.0, 1.0, [1.0, 0.0, 0.0]), "QuaternionPD.target: has shape (3,)"),
+    (ft.Damping([0.1, 0.2]), "has shape (2,); accepted: a number, (1,) or (3,) per axis, (N, 1)"),
+    (Sum((ft.Damping(1.0), 3.0)), "torque: Sum: found float; accepted: a model of"),
+    (3.0, "torque: found float; accepted: a model of fastatt.torques (CentralGravityGradient"),
+    (fa.rates.Constant([1.0, 0.0, 0.0]), "torque: found Constant; accepted: a model"),
     (ft.Custom("function"), "torque: found 'function'; accepted: a function torque("),
     (ft.GravityGradient(0.5, (7e6, 0, 0)), "radial: its length is 7000000.0; accepted: 1"),
     (ft.GravityGradient(0.5, along=(0.8, 0.6, 0)), "radial·along is 0.8; accepted: 0"),
@@ -524,9 +445,9 @@ WRONG = [
     (ft.QuaternionPD(1.0, (1, -2, 1)), "QuaternionPD.damping[1] is -2.0; accepted: 0 or more"),
     (ft.QuaternionPD(np.diag([1.0, 1.0, -1.0]), 0.0), "its lowest eigenvalue is -1.0; accepted"),
     (ft.QuaternionPD(1.0, np.arange(9.0).reshape(3, 3)), "damping: its asymmetry is 4.0; accept"),
-    (ft.QuaternionPD([1.0, 2.0], 1.0), "shape (2,); accepted: a number, (3,) per axis, a (3, 3)"),
-    (ft.QuaternionPD(1.0, 1.0, TARGET, 0.0), "QuaternionPD.limit[0] is 0.0; accepted: above 0"),
-    (ft.QuaternionPD(1.0, 1.0, TARGET, (1.0, 2.0)), "limit has shape (2,); accepted: a num"),
+    (ft.QuaternionPD([1.0, 2.0], 1.0), "shape (2,); accepted: a number, (3,) per axis, (1, 1) or"),
+    (ft.QuaternionPD(1.0, 1.0, TARGET, 0.0), "QuaternionPD.limit is 0.0; accepted: above 0"),
+    (ft.QuaternionPD(1.0, 1.0, TARGET, (1.0, 2.0)), "limit: has shape (2,); accepted: a num"),
 ]
 TYPES = ("much", "found float", "found Constant", "'function'")
 
@@ -536,6 +457,15 @@ def test_wrong_numbers(model, message):
     error = TypeError if any(x in message for x in TYPES) else ValueError
     with pytest.raises(error, match=re.escape(message)):
         fa.Scene(inertia=INERTIA, torque=model)
+
+
+@pytest.mark.parametrize(
+    ("terms", "error", "message"),
+    [((), ValueError, "Sum.terms: is empty"), (3.0, TypeError, "Sum.terms: found 3.0; accepted")],
+)
+def test_terms_that_are_none(terms, error, message):
+    with pytest.raises(error, match=message):
+        Sum(terms)
 
 
 def two_numbers(t, q, w, p):

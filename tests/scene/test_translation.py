@@ -26,20 +26,21 @@ def pushing(t, q, w, v, p):
 
 
 def oracle(force, inertia=INERTIA, spin=SPIN, span=SPAN):
-    s = ro.integrate(inertia, START.tolist(), spin, span, force=force, mass=MASS, v0=V0, digits=20)
-    return np.array(floats(s.v)), np.array(floats(s.r)) + R0
+    moved = {"force": force, "mass": MASS, "v0": V0, "r0": R0}
+    s = ro.integrate(inertia, START.tolist(), spin, span, digits=20, **moved)
+    return np.array(floats(s.v)), np.array(floats(s.r))
 
 
-def built_in(t, q, w, v):
+def built_in(t, q, w, v, r):
     weight = ro.to_body(q, WEIGHT)
     return [THRUST[i] + weight[i] - DRAG * v[i] for i in range(3)]
 
 
 TERMS = fa.forces.Constant(THRUST), fa.forces.ConstantInertial(WEIGHT), fa.forces.Drag(DRAG)
 FORCES = {
-    "thrust": (THRUST, lambda t, q, w, v: THRUST),
+    "thrust": (THRUST, lambda t, q, w, v, r: THRUST),
     "sum": (fa.forces.Sum(TERMS), built_in),
-    "user": (pushing, lambda t, q, w, v: pushing.py_func(t, q, w, v, ())),
+    "user": (pushing, lambda t, q, w, v, r: pushing.py_func(t, q, w, v, ())),
 }
 BODY = fa.Scene(inertia=INERTIA, mass=MASS, force=THRUST)
 
@@ -113,7 +114,7 @@ WRONG = [
     ({"force": THRUST}, "mass: is missing; mass and force go together"),
     ({"mass": 0.0, "force": THRUST}, "mass is 0.0; accepted: above 0, kg"),
     ({"mass": [1.0, -2.0], "force": THRUST}, r"mass\[1\] is -2.0; accepted: above 0, kg"),
-    ({"mass": 1.0, "force": (1, 2)}, r"force: Constant.force has shape \(2,\); accepted are"),
+    ({"mass": 1.0, "force": (1, 2)}, r"force: Constant.force: has shape \(2,\); accepted:"),
 ]
 
 
@@ -135,5 +136,5 @@ def test_what_a_run_needs():
         ValueError, match=r"method: found 'cf4'; accepted: rk4, rk8, rk9, gbs16 .cf4 steps no vel"
     ):
         run(BODY, "cf4", 10)
-    with pytest.raises(TypeError, match="force: found float; accepted is a model of"):
+    with pytest.raises(TypeError, match="force: found float; accepted: a model of"):
         fa.Scene(inertia=INERTIA, mass=1.0, force=3.0)

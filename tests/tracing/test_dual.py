@@ -15,7 +15,7 @@ from oracle import EPS, quat_exp, right_jacobian
 from fastatt.tracing import dual, functions, graph, nodes, source
 from fastatt.tracing.dual import Dual, derivatives, seed, value
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.formulas import Kernels, dcm, free_body, quat, rigid, so3, trig
+from fastatt.tracing.formulas import dcm, free_body, kernels, quat, rigid, so3, trig
 from fastatt.tracing.graph import Double, Graph, Single, flattened
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.trace import traceable
@@ -134,12 +134,6 @@ def test_functions_of_the_c_library(name, x):
     assert derivatives(graph.apply(name, known), 1) == pytest.approx(slopes[0], rel=4 * EPS)
 
 
-def symmetric(*x):
-    return free_body.symmetric_evaluate(
-        free_body.symmetric_setup(quat.exp(x[:3]), x[3:6], (1.0, 1.0, 2.0)), x[6]
-    )
-
-
 def triaxial(*x):
     return free_body.evaluate(free_body.setup(quat.exp(x[:3]), x[3:6], (1.0, 1.4, 2.0)), x[6])
 
@@ -160,10 +154,9 @@ CHAINS = {
     "normalise": (lambda *q: quat.normalise(q), [(3e150, -1e150, 2e150, 1e150), Q]),
     "sinhcosh": (lambda r: trig.short_waves(r, -r * r), [(0.2,), (-0.3,)]),
     "decay": (rigid.exp_decay, [(0.3,), (-2.0,), (30.0,)]),
-    "symmetric": (symmetric, [(*U, 0.3, -0.2, 0.5, 2.0)]),
     "triaxial": (triaxial, [(*U, 0.3, -0.2, 0.5, 2.0), (*U, 1.0, 1e-3, 1e-4, 10.0)]),
     "modified": (
-        lambda *x: Kernels("moser_veselov").solve(x[:3], x[3:]),
+        lambda *x: kernels("moser_veselov").solve(x[:3], x[3:]),
         [(0.05, -0.1, 0.08, 0.3, -0.5, 0.25)],
     ),
 }
@@ -313,7 +306,7 @@ def test_tables_are_asked_by_values():
     made = Graph()
     (x,) = seed((made.input("double", "x"),), 1)
     k = graph.apply("floor", x)
-    slope = derivatives((x - k) * functions.gather(0, k, "double"), 1)
+    slope = derivatives((x - k) * functions.row(0, k, 1)[0], 1)
     found = source.function(Flat(made, slope, "double"), tables={0: np.array([3.0, 5.0, 7.0])})
     assert found(1.25) == (5.0,)
 

@@ -1,1 +1,0 @@
-"""Hostile input: what ``fuzz.trying`` tries."""
