@@ -345,6 +345,10 @@ def choose(test: Any, a: Any, b: Any) -> Any:
         # two constants have the precision of the compared numbers
         a = number(test.graph, a, _compared(test))
     a, b = _pair(a, b)
+    inner = a.graph.nodes[a.at]
+    if inner.op == "select" and inner.args[2] == b.at:  # of nested conditions
+        test = both(test, _condition_at(a.graph, inner.args[0]))
+        a = _of(a.graph, inner.args[1], a.kind)
     return a if a.at == b.at else _made(a.graph, "select", a.kind, test.at, a.at, b.at)
 
 
