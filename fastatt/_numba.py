@@ -117,15 +117,16 @@ def _target() -> Any:
     )
 
 
-def library_of(function: Callable[..., Any], sig: Any) -> tuple[str, Any]:
-    """The library with a function of numbers and addresses, as ``cfunc`` makes it, and its name.
+def linked_code(function: Callable[..., Any], sig: Any) -> tuple[str, Any]:
+    """The name of a function of numbers and addresses, as ``cfunc`` makes it, and its library.
 
     ``emit_native_object`` of the library gives its machine code.
     """
     compiler = _CFuncCompiler(function, _target(), LOOP, {}, Compiler)
     made = compiler.compile(sig.args, sig.return_type)
-    made.library.finalize()
-    return made.fndesc.llvm_cfunc_wrapper_name, made.library
+    library = made.library
+    library.finalize()
+    return made.fndesc.llvm_cfunc_wrapper_name, library
 
 
 def compiled(dispatcher: Any) -> Callable[..., Any]:

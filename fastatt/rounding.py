@@ -51,11 +51,16 @@ def most_turned(dtype: DTypeLike) -> float:
     return LOST / float(np.finfo(dtype).eps)
 
 
+def most_half_right(dtype: DTypeLike) -> float:
+    """The largest rotation angle of one exponential, rad, of which half of the digits are right."""
+    return math.sqrt(1.0 / float(np.finfo(dtype).eps))
+
+
 def of_angles(angles: NDArray[np.float64], dtype: DTypeLike) -> str:
     """The warning of rotation angles of a step, rad; "" if half of their digits are right."""
     eps = float(np.finfo(dtype).eps)
     most = float(np.max(angles, initial=0.0, where=np.isfinite(angles)))
-    if most * eps <= math.sqrt(eps):
+    if most <= most_half_right(dtype):
         return ""
     return (
         f"{most:.3g} rad at once, which {np.dtype(dtype)} rounds by {most * eps:.2g}: take shorter "

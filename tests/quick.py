@@ -8,7 +8,7 @@ from numba import config
 
 from fastatt.codegen import modules
 
-_OPTIMISED = modules.library_of
+_OPTIMISED = modules.linked_code
 _FULL, _NONE = config.OPT, type(config.OPT)(0)
 
 
@@ -22,7 +22,7 @@ def _quick(function, signature):
 
 def use():
     """Compile generated formulas without the optimiser from now on."""
-    modules.library_of = _quick
+    modules.linked_code = _quick
 
 
 @contextlib.contextmanager
@@ -34,8 +34,8 @@ def optimised(libraries):
         libraries.append(library)
         return name, library
 
-    kept, modules.library_of = modules.library_of, listed
+    kept, modules.linked_code = modules.linked_code, listed
     try:
         yield
     finally:
-        modules.library_of = kept
+        modules.linked_code = kept

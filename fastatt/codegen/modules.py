@@ -32,7 +32,7 @@ from llvmlite import binding
 from numba import types
 from numba.extending import intrinsic
 
-from fastatt._numba import NOTHING, check, compiler_lock, folder_of, library_of
+from fastatt._numba import NOTHING, check, compiler_lock, folder_of, linked_code
 from fastatt.codegen.instructions import Code, prepare_for_vectors
 from fastatt.codegen.processor import processor
 
@@ -125,7 +125,7 @@ def _compiled(text: str, arguments: Sequence[Any], emissions: Mapping[str, Emiss
     exec(compile(text, "<fastatt>", "exec"), scope)
     token = _emissions.set(emissions)
     try:
-        name, library = library_of(scope["run"], types.void(*arguments))
+        name, library = linked_code(scope["run"], types.void(*arguments))
     finally:
         _emissions.reset(token)
     return name.encode() + b"\0" + bytes(library.emit_native_object())

@@ -185,7 +185,8 @@ class Plan:
         eps = float(np.finfo(self.kind).eps)
         if (self.damped > self.choice.method.damping_limit).any():
             return math.inf, 0.0
-        return 0.0 if self.attitude.compensated else eps, min(self.limit, eps**-0.5)
+        most = min(self.limit, rounding.most_half_right(self.kind))
+        return 0.0 if self.attitude.compensated else eps, most
 
     def steps(self, h: float, t0: float, resumed: End | None, *, ring: bool) -> Steps:
         """The steps of bodies with the step size h; saves go to a ``ring`` of slots."""

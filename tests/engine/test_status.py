@@ -14,6 +14,7 @@ from numba import njit
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
+from fastatt.propagation import limits
 from fastatt.scene.torque_record import fastest_decay
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -334,6 +335,19 @@ def test_the_limit_of_damping_is_where_its_factor_is_wrong_by_a_tenth(method):
         )
     within, beyond = np.abs(run.w[-1, :, 0] / 0.01 - np.exp(-damped))
     assert within <= 0.1 < beyond
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("options", [{}, {"compensated": True}, {"rate": True}], ids=str)
+def test_the_usual_angles_are_those_without_advice(options, dtype):
+    """Of them no step is warned of, and of all others each is."""
+    given = dict(options)
+    scene = fa.Scene(rate=fa.rates.Constant((0, 0, 1))) if given.pop("rate", 0) else FREE
+    method = "rk4" if scene is FREE else "lie_euler"
+    plan = fa.plan(scene, 1, dt=0.1, n_steps=1, method=method, dtype=dtype, **given)
+    least, most = plan.usual_angles
+    for angle in (*np.geomspace(1e-20, 1e20, 81), 1.01 * most, 0.99 * most):
+        assert (limits._advice(plan, np.array([angle])) == "") == (least <= angle <= most)
 
 
 @pytest.mark.parametrize("method", ["strang2", "kahan_li8"])

@@ -268,6 +268,17 @@ def test_a_product_used_twice_is_not_fused():
     assert flat.operations == 3
 
 
+def test_nested_conditions_choose_once():
+    """As execution paths are merged: a if both hold, else b."""
+    graph = Graph()
+    x, y, a, b = graph.inputs("double", "x", 4)
+    flat = Flat(graph, [choose(x < 1.0, choose(y < 1.0, a, b), b)], "double")
+    assert [node.op for node in flat.nodes].count("select") == 1
+    call = source.function(flat)
+    for x, y in itertools.product((0.5, 1.5, math.nan), repeat=2):
+        assert call(x, y, 3.0, 4.0) == ((3.0 if x < 1.0 and y < 1.0 else 4.0),)
+
+
 @every_precision
 def test_two_constants_are_of_the_precision_of_what_is_compared(kind):
     _, x, y = numbers(kind=kind)
