@@ -27,15 +27,15 @@ ACCEL_UNITS = {
 class Format(NamedTuple):
     """A format that defines the unit of its gyro, rad/s, and those of its time stamps.
 
-    Names of columns are regular expressions. ``file`` is that of the file, and ``beside`` a column
-    that such a file has, where the names of the gyro's columns do not tell.
+    Names of columns are regular expressions. ``file`` is that of the file, and ``known_by`` a
+    column that such a file has, where the names of the gyro's columns do not tell.
     """
 
     gyro: str
     clocks: Mapping[str, str]  # the unit of each column of time stamps, the best one first
     accel: str = "(?!)"
     file: str = ".*"
-    beside: str = ""
+    known_by: str = ""
 
 
 FORMATS = (
@@ -58,7 +58,7 @@ FORMATS = (
         gyro="[xyz]",
         clocks={"seconds_elapsed": "s", "time": "ns"},
         file=r"gyroscope\.csv(\.gz)?",
-        beside="seconds_elapsed",
+        known_by="seconds_elapsed",
     ),
 )
 
@@ -150,7 +150,7 @@ def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | 
     for known in FORMATS:
         named = all(re.fullmatch(known.gyro, axis) for axis in axes)
         if named and re.fullmatch(known.file, Path(file).name, re.IGNORECASE):
-            return known if known.beside in ("", *names) else None
+            return known if known.known_by in ("", *names) else None
     return None
 
 
@@ -230,8 +230,8 @@ def _seconds_and_nanoseconds(names: Sequence[str]) -> list[int]:
     pairs = []
     for i, word in enumerate(words):
         match = _STAMP_SECONDS.fullmatch(word)
-        beside = [match[1] + end for end in ("nanosec", "nsecs", "nsec")] if match else []
-        pairs += [[i, words.index(name)] for name in beside if name in words]
+        fractions = [match[1] + end for end in ("nanosec", "nsecs", "nsec")] if match else []
+        pairs += [[i, words.index(name)] for name in fractions if name in words]
     return min(pairs, key=lambda pair: "header" not in words[pair[0]], default=[])
 
 
