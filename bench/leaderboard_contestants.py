@@ -130,7 +130,7 @@ def _work(problem: Problem, name: str, n: int) -> Callable[[], float]:
     """Operations of a body in n steps; none are counted where the number has no meaning."""
     if name == "exact":
         return lambda: 0.0
-    return lambda: float(n * job_of(problem.scene, name, "quat", "float64").formulas.operations)
+    return lambda: float(n * job_of(problem.scene, name, "quat", "float64").operations)
 
 
 def our_plans(problem: Problem, name: str, dtype: str, numbers: Iterable[int]):

@@ -49,7 +49,7 @@ def operations(name: str, source: str) -> int | None:
     """Floating-point operations of a step of one body; None without steps or at samples."""
     if source == SAMPLES or not METHODS[name].is_stepped:
         return None
-    return job_of(problem(source, 2).ensemble.scene, name, "quat", "float64").formulas.operations
+    return job_of(problem(source, 2).ensemble.scene, name, "quat", "float64").operations
 
 
 def main(path: Path, *scenes: str) -> None:

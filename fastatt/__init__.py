@@ -30,7 +30,7 @@ _MODULES = {
     "plan": "fastatt.propagation.propagate",
     "resume": "fastatt.propagation.resume",
     "event": "fastatt.propagation.event",
-    "to_file": "fastatt.propagation.histories",
+    "to_file": "fastatt.propagation.output",
     "TimeSeries": "fastatt.scene.time_series",
     "METHODS": "fastatt.methods",
     "runge_kutta": "fastatt.methods.runge_kutta",

@@ -33,9 +33,9 @@ from fastatt.propagation.energy import (
     kinetic_energy,
 )
 from fastatt.propagation.event import event
-from fastatt.propagation.histories import to_file
 from fastatt.propagation.inspect_step import inspect_step
 from fastatt.propagation.interpolation import interpolate
+from fastatt.propagation.output import to_file
 from fastatt.propagation.propagate import plan, propagate
 from fastatt.propagation.resume import resume
 from fastatt.propagation.trajectory import Trajectory

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt.codegen.rows import kind_of, rows
+from fastatt.codegen.rows import precision_of, rows
 from fastatt.tracing.formulas import dcm, euler313, mrp, quat
 
 # the largest error of an element of CᵀC
@@ -25,8 +25,8 @@ _PI = Decimal("3.141592653589793238462643383279502884197169399375105820974944592
 def on_rows(formula: Any, *arrays: NDArray[Any], after: int | None) -> NDArray[Any]:
     """Apply a formula to rows (..., n) that broadcast: gives (..., after), or (...) for None."""
     inputs = {f"x{k}": x.shape[-1] for k, x in enumerate(arrays)}
-    kind = kind_of(np.result_type(*arrays))
-    return rows(formula, inputs, (after,), kind)(*arrays)[0]
+    precision = precision_of(np.result_type(*arrays))
+    return rows(formula, inputs, (after,), precision)(*arrays)[0]
 
 
 @cache

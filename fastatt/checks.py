@@ -95,8 +95,8 @@ def real(name: str, value: Any, *, zero: bool = True) -> float:
         return value
     number = any_real(name, value, "a finite number")
     if not math.isfinite(number) or (number == 0.0 and not zero):
-        kind = "a finite number" if zero else "a finite number other than 0"
-        raise ValueError(f"{name}: found {number}; accepted: {kind}")
+        accepted = "a finite number" if zero else "a finite number other than 0"
+        raise ValueError(f"{name}: found {number}; accepted: {accepted}")
     return number
 
 
@@ -114,8 +114,8 @@ def any_real(name: str, value: Any, accepted: str) -> float:
     """A number, finite or not."""
     try:
         # Python and NumPy convert text, booleans, times and arrays of one number to floats
-        kind = np.asarray(value).dtype.kind
-        if kind not in "fiuO" or np.ndim(value) or np.ma.is_masked(value):
+        letter = np.asarray(value).dtype.kind
+        if letter not in "fiuO" or np.ndim(value) or np.ma.is_masked(value):
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
@@ -126,12 +126,12 @@ def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     """float64 or float32: ``dtype`` if given, else float32 if all arrays have it."""
     if dtype is None:
         tables = (a for a in arrays if hasattr(a, "__array__") and np.ndim(a))
-        kinds = {np.asarray(a).dtype.newbyteorder("=") for a in tables}
-        return _SINGLE if kinds == {_SINGLE} else _DOUBLE
+        dtypes = {np.asarray(a).dtype.newbyteorder("=") for a in tables}
+        return _SINGLE if dtypes == {_SINGLE} else _DOUBLE
     with suppress(TypeError, ValueError):
-        kind: np.dtype[Any] = np.dtype(dtype)
-        if kind in _PRECISIONS:
-            return kind
+        precise: np.dtype[Any] = np.dtype(dtype)
+        if precise in _PRECISIONS:
+            return precise
     raise TypeError(f"dtype: found {brief(dtype)}; accepted: float64, float32 or None")
 
 
@@ -165,9 +165,9 @@ def numbers(name: str, value: ArrayLike, accepted: str) -> Floats:
         values = np.asarray(None)
     if values.dtype.kind not in "fiu":
         raise _not_numbers(name, value, accepted)
-    kind = values.dtype.newbyteorder("=")
+    native = values.dtype.newbyteorder("=")
     with np.errstate(over="ignore"):
-        values = values.astype(kind if kind in _PRECISIONS else np.float64, copy=False)
+        values = values.astype(native if native in _PRECISIONS else np.float64, copy=False)
     if isinstance(value, np.ma.MaskedArray):
         values = np.where(np.ma.getmaskarray(value), values.dtype.type(np.nan), values)
     return values

@@ -174,7 +174,7 @@ def _methods(_: argparse.Namespace) -> None:
     lines = [("method", "order", "scenes", "representations")]
     for m in METHODS.values():
         order = str(m.order or "exact")
-        order += "".join(f", {other} for {kind}" for kind, other in m.orders.items())
+        order += "".join(f", {other} for {scenes}" for scenes, other in m.orders.items())
         damped = " *" if m.takes is Dependence.DAMPED else ""
         lines.append((m.name, order, ", ".join(m.scenes) + damped, ", ".join(m.representations)))
     for rows in (lines, [(m.name, f"{m.summary}. {m.source}") for m in METHODS.values()]):
@@ -204,9 +204,9 @@ def _integrate(arguments: argparse.Namespace) -> None:
 
 
 def _trade(arguments: argparse.Namespace) -> None:
-    is_watched = sys.stderr.isatty() and find_spec("tqdm") is not None
+    is_of_events = sys.stderr.isatty() and find_spec("tqdm") is not None
     run_trade(
         arguments.out, scenes=arguments.scene or SCENES, methods=arguments.methods,
         n_bodies=arguments.bodies, quick=arguments.quick, verbose=arguments.verbose,
-        progress=is_watched,
+        progress=is_of_events,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, rounding
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.processor import processor
-from fastatt.codegen.rows import RowFunction, kind_of
+from fastatt.codegen.rows import RowFunction, precision_of
 from fastatt.scene.inertia import EQUAL, Principal, about_arm, is_symmetric, principal, refuse
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import lever_of
@@ -235,7 +235,7 @@ def heavy_top(
 
     torque = HeavyTop(arm, weight)
     scene = Scene(inertia=inertia, torque=torque, allow_unphysical=allow_unphysical)
-    return _at_times(form_of(scene), q0, w0, t, dtype, n_threads)
+    return _at_times(solution_of(scene), q0, w0, t, dtype, n_threads)
 
 
 def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
@@ -317,19 +317,19 @@ class BodySolution(NamedTuple):
     gain: NDArray[np.float64] = np.zeros(())
 
 
-def form_of(scene: Scene) -> BodySolution:
+def solution_of(scene: Scene) -> BodySolution:
     """The closed form of a scene's motion.
 
     Raises ``ValueError``, with the body or the torque, if there is none.
     """
     if "closed form" not in scene.memo:
-        scene.memo["closed form"] = _form_of(scene)
+        scene.memo["closed form"] = _solution_of(scene)
     known = scene.memo["closed form"]
     assert isinstance(known, BodySolution)
     return known
 
 
-def _form_of(scene: Scene) -> BodySolution:
+def _solution_of(scene: Scene) -> BodySolution:
     if scene.torque is None:
         return _free_form(scene.principal)
     lever = lever_of(scene.torque)
@@ -362,7 +362,9 @@ def _check_above_zero(body: Principal) -> None:
 
 
 @functools.cache
-def _function(solution: Solution, kind: str, attitude: Attitude, is_turned: bool) -> RowFunction:
+def _function(
+    solution: Solution, precision: str, attitude: Attitude, is_turned: bool
+) -> RowFunction:
     """The attitudes and angular velocities of bodies at times.
 
     ``is_turned`` says that the principal axes are not the body axes.
@@ -382,7 +384,7 @@ def _function(solution: Solution, kind: str, attitude: Attitude, is_turned: bool
         return q if attitude is QUATERNION else attitude.raw(attitude.start(q)), tuple(w)
 
     native, results = processor().fuses, (attitude.stored, 3)
-    return RowFunction(state, _INPUTS, results, kind, native=native, constants=constants)
+    return RowFunction(state, _INPUTS, results, precision, native=native, constants=constants)
 
 
 def evaluate(
@@ -395,7 +397,7 @@ def evaluate(
 ) -> None:
     """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
     moments, axes = form.body
-    state = _function(form.solution, kind_of(start[0].dtype), attitude, axes is not None)
+    state = _function(form.solution, precision_of(start[0].dtype), attitude, axes is not None)
     # axes that are the body axes are not read
     bodies = *start, moments, np.zeros(4) if axes is None else axes, form.pull
     state(*bodies, t[:, None], n_threads=threads, out=out)

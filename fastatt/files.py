@@ -38,15 +38,15 @@ def writing(
     Raises as :func:`target` does, and ``OSError``.
     """
     whole = target(name, path)
-    kind: dict[str, Any] = {"encoding": text, "newline": ""} if text else {}
+    options: dict[str, Any] = {"encoding": text, "newline": ""} if text else {}
     letter = "" if text else "b"
     if whole.is_symlink() or (whole.exists() and not whole.is_file()):
-        with whole.open(f"w{letter}", **kind) as file:
+        with whole.open(f"w{letter}", **options) as file:
             yield file
         return
     temporary = whole.with_name(f".{token_hex(8)}.part")
     try:
-        file = temporary.open(f"x{letter}", **kind)
+        file = temporary.open(f"x{letter}", **options)
     except OSError as error:  # of the folder
         raise type(error)(error.errno, error.strerror, str(whole)) from None
     try:

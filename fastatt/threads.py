@@ -10,8 +10,11 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import TypeVar
 
 from fastatt import checks
+
+T = TypeVar("T")
 
 
 def default_threads() -> int:
@@ -44,15 +47,12 @@ def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
         yield bar.update
 
 
-def in_threads(calls: Sequence[Callable[[], object]], n_threads: int) -> None:
+def in_threads(calls: Sequence[Callable[[], T]], n_threads: int) -> list[T]:
     """Make calls in their order; if one raises, those that have not begun are dropped."""
     if n_threads == 1 or len(calls) == 1:
-        for call in calls:
-            call()
-        return
+        return [call() for call in calls]
     pool = ThreadPoolExecutor(min(n_threads, len(calls)))
     try:
-        for future in [pool.submit(call) for call in calls]:
-            future.result()
+        return [future.result() for future in [pool.submit(call) for call in calls]]
     finally:
         pool.shutdown(cancel_futures=True)

@@ -32,7 +32,7 @@ class _Seen(Exception):  # noqa: N818
 def job_of(monkeypatch, run):
     """The job whose program a run asks for; it is not made, and nothing is run."""
 
-    def record(job, **_):
+    def record(job, *_):
         raise _Seen(job)
 
     monkeypatch.setattr(plan, "program", record)
@@ -52,7 +52,7 @@ def libraries(job):
     try:
         with quick.optimised(found):
             program = Program(job)
-            if job.formulas.any_angle is not None:
+            if job.any_angle is not None:
                 program.compile_any_angle()
     finally:
         modules.folder = kept

@@ -24,7 +24,7 @@ MODULES = [
 #: methods that packages of the library call on each other's objects
 INTERNAL = {
     "Event": {"frozen", "watch"},
-    "Plan": {"end", "equations", "results", "started", "steps", "times", "trajectory", "width"},
+    "Plan": {"equations", "events_key", "run", "width"},
     "Scene": {"carried", "dependence", "memo", "packed"},
     "TimeSeries": {"numbers_at", "traced_at"},
 }  # fmt: skip

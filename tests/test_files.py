@@ -128,6 +128,6 @@ def test_a_history_leaves_the_map_of_the_one_before(tmp_path):
 
 
 def test_a_checkpoint_into_a_folder_is_refused_before_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr("fastatt.propagation.propagate.execute", lambda *_: pytest.fail("begun"))
+    monkeypatch.setattr("fastatt.propagation.plan.Plan.run", lambda *_, **__: pytest.fail("begun"))
     with pytest.raises(ValueError, match="checkpoint: found the directory"):
         fa.propagate(BODY, **START, n_steps=20, checkpoint=tmp_path)

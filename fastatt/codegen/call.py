@@ -25,10 +25,10 @@ def call(typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any) 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address, number, arrays, integers = args
         given = [number]
-        for i, kind in enumerate(memory.types):
+        for i, ty in enumerate(memory.types):
             value = builder.extract_value(arrays, i)
-            if isinstance(kind, types.Array):
-                given.append(array_of(context, builder, kind, value)[0])
+            if isinstance(ty, types.Array):
+                given.append(array_of(context, builder, ty, value)[0])
             else:
                 given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
         given += [builder.extract_value(integers, i) for i in range(len(numbers))]

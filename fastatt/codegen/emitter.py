@@ -11,18 +11,8 @@ from llvmlite import ir
 from fastatt.codegen.instructions import BIT, I32, I64, REALS, Code, alike
 from fastatt.codegen.processor import processor
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.nodes import COMPARISONS, LIBRARY, Node, operands
-
-_INSTRUCTIONS = {
-    "abs": "llvm.fabs",
-    "sqrt": "llvm.sqrt",
-    "rint": "llvm.rint",
-    "floor": "llvm.floor",
-}
-_NAMES = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv", "neg": "fneg"}
-_NAMES |= {"and": "and", "or": "or"}
-#: comparisons with NaN are false, except "not equal"
-_ORDERS = dict(zip(COMPARISONS, ("olt", "ole", "ogt", "oge", "oeq", "une"), strict=True))
+from fastatt.tracing.nodes import Node, operands
+from fastatt.tracing.operations import OPERATIONS
 
 Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
 
@@ -30,9 +20,10 @@ Given = Callable[[tuple[Any, ...], str], tuple[Any, bool]]
 class Emitter:
     """Writes the operations of a graph.
 
-    ``given(name, kind)`` returns the value of an input and whether it has lanes, one for each body;
-    directions of dual numbers have lanes, too. Values that depend on inputs without lanes only are
-    computed once. ``resources`` has the pointers of tables and of functions that are not traced.
+    ``given(name, precision)`` returns the value of an input and whether it has lanes, one for each
+    body; directions of dual numbers have lanes, too. Values that depend on inputs without lanes
+    only are computed once. ``resources`` has the pointers of tables and of functions that are not
+    traced.
     """
 
     def __init__(self, code: Code, lanes: int, resources: Mapping[Any, Any]) -> None:
@@ -58,12 +49,16 @@ class Emitter:
         return found
 
     def _node(self, node: Node, values: list[tuple[Any, bool]], given: Given) -> tuple[Any, bool]:
-        op, kind = node.op, node.kind
+        op, precision = node.op, node.precision
         if op == "const":
-            return ir.Constant(REALS[kind], node.args[0]), False
+            return ir.Constant(REALS[precision], node.args[0]), False
         if op == "in":
             group, *place = node.args
-            return self._direction(kind, *place) if group == "direction" else given(node.args, kind)
+            return (
+                self._direction(precision, *place)
+                if group == "direction"
+                else given(node.args, precision)
+            )
         if op == "opaque":
             return self._called(node, values)
         if op in ("item", "element"):
@@ -76,7 +71,7 @@ class Emitter:
         if op == "row":
             return self._row(*node.args[:2], *values[node.args[2]])
         args, has_lanes = self._taken(operands(node), values)
-        return self._operation(op, kind, args, has_lanes), has_lanes
+        return self._operation(op, precision, args, has_lanes), has_lanes
 
     def _taken(self, at: Sequence[int], values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
         """Operands, all as vectors if one of them has lanes."""
@@ -84,37 +79,30 @@ class Emitter:
         has_lanes = any(wide for _, wide in taken)
         return [self._spread(*x) if has_lanes else x[0] for x in taken], has_lanes
 
-    def _direction(self, kind: str, k: int) -> tuple[Any, bool]:
+    def _direction(self, precision: str, k: int) -> tuple[Any, bool]:
         """1 in lane k, 0 in others."""
         units = [float(i == k) for i in range(self.lanes)]
         if self.lanes == 1:
-            return ir.Constant(REALS[kind], 1.0), False
-        return ir.Constant(ir.VectorType(REALS[kind], self.lanes), units), True
+            return ir.Constant(REALS[precision], 1.0), False
+        return ir.Constant(ir.VectorType(REALS[precision], self.lanes), units), True
 
-    def _operation(self, op: str, kind: str, args: list[Any], has_lanes: bool) -> Any:
+    def _operation(self, op: str, precision: str, args: list[Any], has_lanes: bool) -> Any:
         code, of = self.code, args[0].type
-        if op in _NAMES:
-            return code.of(_NAMES[op], *args)
+        if op == "cast":
+            return code.cast(precision, args[0])
         if op in ("fma", "fms", "fnma"):
             return self._fused(op, *args)
-        if op in _INSTRUCTIONS:
-            return code.call(code.intrinsic(_INSTRUCTIONS[op], of), args)
-        if op in LIBRARY:
-            return self._by_lane(partial(self._library, op), args, has_lanes)[0]
-        if op == "select":
-            return code.select(*args)
-        if op in COMPARISONS:
-            bits = alike(of, BIT)
-            if of == bits:
-                return code.of("xor", *args)
-            return code.of(f"fcmp {_ORDERS[op]}", *args, kind=bits)
-        if op == "not":
-            return code.b.not_(args[0])
-        if op == "cast":
-            return code.cast(kind, args[0])
-        if op in _BITS:
-            return _BITS[op](code, *args)
-        raise NotImplementedError(op)
+        if op in _WRITTEN:
+            return _WRITTEN[op](code, *args)
+        name = OPERATIONS[op].llvm
+        if name.startswith("llvm."):
+            return code.call(code.intrinsic(name, of), args)
+        if name.startswith("@"):
+            return self._by_lane(partial(self._library, name[1:]), args, has_lanes)[0]
+        if not name.startswith("fcmp"):
+            return code.of(name, *args)
+        bits = alike(of, BIT)
+        return code.of("xor", *args) if of == bits else code.of(name, *args, result=bits)
 
     def _fused(self, op: str, x: Any, y: Any, z: Any) -> Any:
         code = self.code
@@ -185,10 +173,10 @@ class _Format(NamedTuple):
     bias: int
 
 
-def _format(kind: Any) -> _Format:
-    if kind == alike(kind, REALS["double"]):
-        return _Format(alike(kind, I64), 63, 52, 1023)
-    return _Format(alike(kind, I32), 31, 23, 127)
+def _format(ty: Any) -> _Format:
+    if ty == alike(ty, REALS["double"]):
+        return _Format(alike(ty, I64), 63, 52, 1023)
+    return _Format(alike(ty, I32), 31, 23, 127)
 
 
 def larger(code: Code, x: Any, y: Any) -> Any:
@@ -203,7 +191,7 @@ def larger(code: Code, x: Any, y: Any) -> Any:
 
 def raised(code: Code, most: Any, x: Any) -> Any:
     """The larger of a number and one that may be NaN, which is ignored."""
-    return code.select(code.of("fcmp ogt", x, most, kind=alike(x.type, BIT)), x, most)
+    return code.select(code.of("fcmp ogt", x, most, result=alike(x.type, BIT)), x, most)
 
 
 def _power_of_two(code: Code, n: Any) -> Any:
@@ -223,13 +211,16 @@ def _exponent(code: Code, x: Any) -> Any:
     return code.of("fsub", b.bitcast(put, x.type), _equal(x.type, unit + bias))
 
 
-def _equal(kind: Any, value: Any) -> Any:
+def _equal(ty: Any, value: Any) -> Any:
     """A constant of a type, equal in each lane."""
-    vector = isinstance(kind, ir.VectorType)
-    return ir.Constant(kind, [value] * kind.count if vector else value)
+    vector = isinstance(ty, ir.VectorType)
+    return ir.Constant(ty, [value] * ty.count if vector else value)
 
 
-_BITS: dict[str, Callable[..., Any]] = {
+#: operations of several instructions, or of another form
+_WRITTEN: dict[str, Callable[..., Any]] = {
+    "select": Code.select,
+    "not": lambda code, x: code.b.not_(x),
     "larger": larger,
     "power_of_two": _power_of_two,
     "exponent": _exponent,

@@ -15,9 +15,9 @@ BIT = ir.IntType(1)
 REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
-def alike(kind: Any, element: Any) -> Any:
+def alike(ty: Any, element: Any) -> Any:
     """An element's type, or that of as many as a type has if it is a vector's."""
-    return ir.VectorType(element, kind.count) if isinstance(kind, ir.VectorType) else element
+    return ir.VectorType(element, ty.count) if isinstance(ty, ir.VectorType) else element
 
 
 def prepare_for_vectors(function: Any) -> None:
@@ -37,11 +37,11 @@ class Code:
     def __init__(self, builder: Any) -> None:
         self.b, self.module = builder, builder.module
 
-    def of(self, name: str, *args: Any, kind: Any = None) -> Line:
-        """An operation on values of one type, which is the result's too unless ``kind`` differs."""
+    def of(self, name: str, *args: Any, result: Any = None) -> Line:
+        """An operation on values of one type, and that of the result, unless ``result`` differs."""
         of = args[0].type
         names = ", ".join([x.get_reference() for x in args])
-        return Line(self.b, kind or of, f"{name} {of} {names}")
+        return Line(self.b, result or of, f"{name} {of} {names}")
 
     def call(self, function: Any, args: Sequence[Any]) -> Line:
         """The result of a function that the module declares."""
@@ -53,10 +53,10 @@ class Code:
         """a if the test holds, else b."""
         return Line(self.b, a.type, f"select {_typed(test)}, {_typed(a)}, {_typed(b)}")
 
-    def room(self, kind: Any, n: int = 1) -> Any:
+    def room(self, ty: Any, n: int = 1) -> Any:
         """Memory for n values on the stack of the function."""
         with self.b.goto_entry_block():
-            made = self.b.alloca(kind, ir.Constant(I32, n))
+            made = self.b.alloca(ty, ir.Constant(I32, n))
         made.align = 64
         return made
 
@@ -109,11 +109,11 @@ class Code:
         """Change an element."""
         self.b.store(value, self.place(pointer, index))
 
-    def vector(self, kind: str, pointer: Any, index: Any, n: int, *, align: int = 0) -> Any:
+    def vector(self, precision: str, pointer: Any, index: Any, n: int, *, align: int = 0) -> Any:
         """n successive elements, aligned to the size of the vector by default, or one element."""
         if n == 1:
             return self.load(pointer, index)
-        many = ir.VectorType(REALS[kind], n)
+        many = ir.VectorType(REALS[precision], n)
         return self.b.load(self._as_vector(many, pointer, index), align=align or _aligned(many))
 
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
@@ -124,8 +124,8 @@ class Code:
         else:
             self.store(pointer, index, value)
 
-    def _as_vector(self, kind: Any, pointer: Any, index: Any) -> Any:
-        return self.b.bitcast(self.place(pointer, index), kind.as_pointer())
+    def _as_vector(self, ty: Any, pointer: Any, index: Any) -> Any:
+        return self.b.bitcast(self.place(pointer, index), ty.as_pointer())
 
     def lane(self, vector: Any, k: int) -> Any:
         """The number in a lane."""
@@ -149,34 +149,34 @@ class Code:
         first = ir.Constant(ir.VectorType(I32, n), [0] * n)
         return self.b.shuffle_vector(one, undefined, first)
 
-    def cast(self, kind: str, value: Any) -> Any:
+    def cast(self, precision: str, value: Any) -> Any:
         """A number, or a vector of numbers, in a precision."""
-        to = alike(value.type, REALS[kind])
+        to = alike(value.type, REALS[precision])
         if value.type == to:
             return value
-        return (self.b.fpext if kind == "double" else self.b.fptrunc)(value, to)
+        return (self.b.fpext if precision == "double" else self.b.fptrunc)(value, to)
 
     def declared(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
         """A function of that name, defined elsewhere."""
         found = self.module.globals.get(name)
         return found or ir.Function(self.module, ir.FunctionType(result, arguments), name)
 
-    def intrinsic(self, name: str, kind: Any, n: int = 1) -> Any:
+    def intrinsic(self, name: str, ty: Any, n: int = 1) -> Any:
         """LLVM's function of that name for a type, with n arguments of it."""
-        return self.declared(f"{name}.{_suffix(kind)}", kind, [kind] * n)
+        return self.declared(f"{name}.{_suffix(ty)}", ty, [ty] * n)
 
 
 def _typed(x: Any) -> str:
     return f"{x.type} {x.get_reference()}"
 
 
-def _aligned(kind: Any) -> int:
+def _aligned(ty: Any) -> int:
     """Alignment of a vector: its size, and at most a cache line."""
-    size: int = kind.count * (8 if kind.element == REALS["double"] else 4)
+    size: int = ty.count * (8 if ty.element == REALS["double"] else 4)
     return min(64, size)
 
 
-def _suffix(kind: Any) -> str:
-    if isinstance(kind, ir.VectorType):
-        return f"v{kind.count}{_suffix(kind.element)}"
-    return "f64" if kind == REALS["double"] else "f32"
+def _suffix(ty: Any) -> str:
+    if isinstance(ty, ir.VectorType):
+        return f"v{ty.count}{_suffix(ty.element)}"
+    return "f64" if ty == REALS["double"] else "f32"

@@ -69,7 +69,7 @@ class LaneFormula(NamedTuple):
 class Shape(NamedTuple):
     """Precision of the rows, lanes in a row, and lanes on which operations work at a time."""
 
-    kind: str
+    precision: str
     block: int
     lanes: int
 
@@ -91,7 +91,7 @@ class LaneProgram(NamedTuple):
 
     def compiled(self) -> MachineCode:
         """The machine code, compiled or loaded from disk."""
-        arrays = [types.CPointer(TYPES[kind]) for kind in self.arrays.values()]
+        arrays = [types.CPointer(TYPES[precision]) for precision in self.arrays.values()]
         memory = arrays if self.resources is None else [*arrays, _WHOLE]
         keys = self.resources or ()
         key = [repr((tuple(self.shape), dict(self.arrays), [key[0] for key in keys]))]
@@ -125,12 +125,12 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
     def row(x: Place) -> Any:
         return code.vector(program.arrays[x.array], *place(x), lanes)
 
-    def find(name: Name, kind: str) -> tuple[Any, bool]:
+    def find(name: Name, precision: str) -> tuple[Any, bool]:
         if name in times:
             return times[name]
         x = formula.inputs[name]
         if x.of == "lanes":
-            return code.cast(kind, row(x)), lanes > 1
+            return code.cast(precision, row(x)), lanes > 1
         if x.of == "computed":
             return code.load(arrays[x.array], x.row), False
         at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
@@ -172,4 +172,6 @@ def lane_function(
         lines += [f"    if part == {Part.CONSTANTS}:"]
         lines += [f"        {loop}constants(rows, whole, j)", "        return"]
     text = "\n".join([*lines, f"    {loop}formula(rows, whole, j)", ""])
-    return LaneProgram(text, formulas, shape, {"rows": shape.kind}, resources, numbers=1).compiled()
+    return LaneProgram(
+        text, formulas, shape, {"rows": shape.precision}, resources, numbers=1
+    ).compiled()

@@ -121,7 +121,7 @@ def _called(name: str, arguments: tuple[Any, ...]) -> Any:
 
 def _compiled(text: str, arguments: Sequence[Any], emissions: Mapping[str, Emission]) -> bytes:
     """The function's name, and an object file with it."""
-    scope = {name: _called(name, tuple(kinds)) for name, (kinds, _) in emissions.items()}
+    scope = {name: _called(name, tuple(parts)) for name, (parts, _) in emissions.items()}
     exec(compile(text, "<fastatt>", "exec"), scope)
     token = _emissions.set(emissions)
     try:

@@ -20,9 +20,9 @@ class Processor(NamedTuple):
     fuses: bool
     key: str
 
-    def lanes(self, kind: str) -> int:
+    def lanes(self, precision: str) -> int:
         """Numbers of a precision, "double" or "single", in one vector."""
-        return self.vector // DTYPES[kind].itemsize
+        return self.vector // DTYPES[precision].itemsize
 
 
 def described(triple: str, name: str, features: str) -> Processor:

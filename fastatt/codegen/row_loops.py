@@ -80,9 +80,9 @@ def perform_rows(entry, whole, rows, sources, results, held, first_result):
 
 
 @functools.cache
-def row_machine(kind: str) -> Callable[..., None]:
+def row_machine(precision: str) -> Callable[..., None]:
     """``perform_rows`` for a precision."""
-    real, n = TYPES[kind], types.int64
+    real, n = TYPES[precision], types.int64
     source, result = types.Array(real, 3, "A", readonly=True), types.Array(real, 3, "A")
     arrays = types.UniTuple(source, INPUTS), types.UniTuple(result, RESULTS)
     return machine(perform_rows, types.void(n, n, types.Array(real, 2, "C"), *arrays, n, n))

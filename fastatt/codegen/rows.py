@@ -48,8 +48,8 @@ class _Made(NamedTuple):
 
     def memory(self) -> Array:
         """Rows of lanes for one thread."""
-        kind, block = DTYPES[self.shape.kind], self.shape.block
-        return aligned(self.rows * block, kind).reshape(self.rows, block)
+        precision, block = DTYPES[self.shape.precision], self.shape.block
+        return aligned(self.rows * block, precision).reshape(self.rows, block)
 
 
 class RowFunction:
@@ -58,7 +58,7 @@ class RowFunction:
     It takes a tuple of ``width`` traced numbers for each input (one number if the width is None),
     in the order of ``inputs``, and returns numbers in tuples, nested in any way. It may read
     tables, which a call provides, and call functions that are not traced. ``inputs`` are widths by
-    name, ``outputs`` those of the output arrays; ``kind`` is the precision of all, "double" or
+    name, ``outputs`` those of the output arrays; ``precision`` is the precision of all, "double" or
     "single". ``native`` formulas are for machine code only (``fastatt.tracing.native``).
 
     ``constants`` is a function of all inputs but the last one; ``function`` takes its results, a
@@ -72,14 +72,14 @@ class RowFunction:
         function: Callable[..., Any],
         inputs: Mapping[str, Width],
         outputs: Sequence[Width],
-        kind: str = "double",
+        precision: str = "double",
         *,
         native: bool = False,
         constants: Callable[..., Any] | None = None,
     ) -> None:
         self._function, self._native, self._constants = function, native, constants
-        self.inputs, self.outputs, self.kind = dict(inputs), tuple(outputs), kind
-        self._dtype = DTYPES[kind]
+        self.inputs, self.outputs, self.precision = dict(inputs), tuple(outputs), precision
+        self._dtype = DTYPES[precision]
         #: total widths of the inputs and of the outputs
         self._taken = sum(map(_count, self.inputs.values()))
         self._given = sum(map(_count, self.outputs))
@@ -90,7 +90,7 @@ class RowFunction:
         forms = list(map(self._form, self.inputs.values()))
         if self.constants is not None:
             forms.append(self._form(len(self.constants.flat.results)))
-        return trace(self._function, forms, self._widest, self.kind, native=self._native)
+        return trace(self._function, forms, self._widest, self.precision, native=self._native)
 
     @cached_property
     def constants(self) -> Traced | None:
@@ -98,10 +98,10 @@ class RowFunction:
         if self._constants is None:
             return None
         forms = list(map(self._form, self.inputs.values()))[:-1]
-        return trace(self._constants, forms, 0, self.kind, native=self._native)
+        return trace(self._constants, forms, 0, self.precision, native=self._native)
 
     def _form(self, n: Width) -> Any:
-        return self.kind if n is None else Tuple(tuple, (self.kind,) * n)
+        return self.precision if n is None else Tuple(tuple, (self.precision,) * n)
 
     @cached_property
     def _read(self) -> int:
@@ -125,11 +125,11 @@ class RowFunction:
         Two vectors together hide the latency of long chains of operations on constants.
         """
         if self.traced.lanes > 1:
-            return Shape(self.kind, 1, 1)
-        lanes = processor().lanes(self.kind)
+            return Shape(self.precision, 1, 1)
+        lanes = processor().lanes(self.precision)
         if self._constants:
-            return Shape(self.kind, 2 * lanes, 2 * lanes)
-        return Shape(self.kind, _VECTORS * lanes, lanes)
+            return Shape(self.precision, 2 * lanes, 2 * lanes)
+        return Shape(self.precision, _VECTORS * lanes, lanes)
 
     @cached_property
     def _made(self) -> _Made:
@@ -138,7 +138,7 @@ class RowFunction:
     @cached_property
     def _made_for_few(self) -> _Made:
         """The function for single rows, since few rows would leave most lanes of a vector empty."""
-        return self._compiled(Shape(self.kind, 1, 1))
+        return self._compiled(Shape(self.precision, 1, 1))
 
     def _compiled(self, shape: Shape) -> _Made:
         places = [Place(row) for row in range(self._read + self._given)]
@@ -161,7 +161,7 @@ class RowFunction:
         """Apply the function to arrays (S, B, k), all rows of a sample before the next sample."""
         made, (samples, n) = self._made, results[0].shape[:2]
         least = _LEAST if made.shape.block > 1 else _LEAST_ONE_BY_ONE
-        run, entry = row_machine(self.kind), made.function.address
+        run, entry = row_machine(self.precision), made.function.address
         # constants are computed for each piece, so that few samples are not divided
         by_samples = samples > 1 and self._first_result and (samples >= n or not self._held)
         along, across = (samples, n) if by_samples else (n, samples)
@@ -235,9 +235,9 @@ class RowFunction:
         arrays.
         """
         n = len(out[0])
-        made = self._made_for_few if 2 * n <= processor().lanes(self.kind) else self._made
+        made = self._made_for_few if 2 * n <= processor().lanes(self.precision) else self._made
         wide = [np.broadcast_to(x, (n, *x.shape[1:])).reshape(1, n, -1) for x in arrays]
-        run, whole, memory = row_machine(self.kind), array("q"), made.memory()
+        run, whole, memory = row_machine(self.precision), array("q"), made.memory()
         sources = filled(wide, INPUTS)
         results = filled([x.reshape(1, n, -1) for x in out], RESULTS)
         entry, rows = made.function.address, (self._held, self._first_result)
@@ -269,8 +269,8 @@ class LogFunction(RowFunction):
 
     @cached_property
     def _shape(self) -> Shape:
-        lanes = processor().lanes(self.kind)
-        return Shape(self.kind, lanes, lanes)
+        lanes = processor().lanes(self.precision)
+        return Shape(self.precision, lanes, lanes)
 
     def __call__(  # type: ignore[override]
         self,
@@ -317,7 +317,7 @@ def rows(
     function: Callable[..., Any],
     inputs: Mapping[str, Width],
     outputs: Sequence[Width],
-    kind: str = "double",
+    precision: str = "double",
     key: Hashable = None,
 ) -> RowFunction:
     """The ``RowFunction`` of a function, made once in a process for a layout and a precision.
@@ -325,12 +325,12 @@ def rows(
     ``key`` replaces a function that is made anew at each call; it contains everything on which the
     function's operations depend.
     """
-    layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), kind
+    layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), precision
     found = _KNOWN.get(layout)
-    return found or _KNOWN.setdefault(layout, RowFunction(function, inputs, outputs, kind))
+    return found or _KNOWN.setdefault(layout, RowFunction(function, inputs, outputs, precision))
 
 
-def kind_of(dtype: Any) -> str:
+def precision_of(dtype: Any) -> str:
     """The precision in which arrays of a type are processed."""
     return "single" if np.dtype(dtype) == np.float32 else "double"
 
@@ -349,4 +349,4 @@ def in_pieces(
 
 def addresses(resources: Sequence[tuple[str, Any]], tables: Mapping[int, Array]) -> list[int]:
     """Where they lie, of tables in double precision."""
-    return [address_of(tables[x]) if kind == "table" else x.address for kind, x in resources]
+    return [address_of(tables[x]) if what == "table" else x.address for what, x in resources]

@@ -42,7 +42,7 @@ from fastatt.tracing.trace import traceable
 from fastatt.tracing.traced import Traced, Tuple, flattened_forms, trace
 
 _TYPES = {**TYPES, "truth": types.boolean}
-_KINDS = {of: kind for kind, of in TYPES.items()}
+_PRECISIONS = {ty: precision for precision, ty in TYPES.items()}
 
 
 class ScalarFunction:
@@ -165,10 +165,10 @@ _ACCEPTED = "accepted are float64 or float32 and tuples of them: write 1.0 inste
 
 
 def _form_of_type(ty: Any, name: str, size: int = 0) -> Any:
-    if ty in _KINDS:
-        return _KINDS[ty]
-    if size and isinstance(ty, types.Array) and ty.ndim == 1 and ty.dtype in _KINDS:
-        return Tuple(tuple, (_KINDS[ty.dtype],) * size)
+    if ty in _PRECISIONS:
+        return _PRECISIONS[ty]
+    if size and isinstance(ty, types.Array) and ty.ndim == 1 and ty.dtype in _PRECISIONS:
+        return Tuple(tuple, (_PRECISIONS[ty.dtype],) * size)
     if isinstance(ty, types.BaseTuple):
         named = isinstance(ty, types.BaseNamedTuple)
         parts = tuple(_form_of_type(part, name) for part in ty.types)
@@ -223,8 +223,8 @@ def _numba_type(scalar: ScalarFunction) -> FormulaType:
                 _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
             )
 
-        def number(name: tuple[Any, ...], kind: str) -> tuple[Any, bool]:
-            return code.cast(kind, numbers[name[1]]), False
+        def number(name: tuple[Any, ...], precision: str) -> tuple[Any, bool]:
+            return code.cast(precision, numbers[name[1]]), False
 
         results = Emitter(code, traced.lanes, pointers)(traced.flat, number)
         return _made(context, builder, traced.form, iter(value for value, _ in results))

@@ -16,13 +16,13 @@ from dask.delayed import Delayed, delayed
 from dask.highlevelgraph import HighLevelGraph
 
 from fastatt import checks, rounding
-from fastatt.engine.events import Event
+from fastatt.engine.marks import Event
 from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.event import events_of
 from fastatt.propagation.initial import INITIAL, initial
-from fastatt.propagation.options import clock_of
 from fastatt.propagation.propagate import propagate as run_chunk
+from fastatt.propagation.schedule import schedule_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
@@ -67,8 +67,10 @@ class LazyTrajectory(DaskMethodsMixin):  # type: ignore[misc]
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name not in self.arrays:
             raise AttributeError(f"{name}: found none; accepted: t, {', '.join(self.arrays)}")
-        saves, tail, kind = self.arrays[name]
-        blocks = [da.from_delayed(getattr(x, name), (*saves, n, *tail), kind) for x, n in self.runs]
+        saves, tail, precision = self.arrays[name]
+        blocks = [
+            da.from_delayed(getattr(x, name), (*saves, n, *tail), precision) for x, n in self.runs
+        ]
         return da.concatenate(blocks, axis=len(saves))
 
     # Dask's protocol of collections: the trajectories of the chunks
@@ -191,10 +193,10 @@ def propagate(
     (1, 5, 4)
     """
     scene = as_scene(scene)
-    watched = events_of(events, scene, position=r0 is not None)
-    record = chosen(scene, method, representation, compensated, normalise, watched).method
+    checked_events = events_of(events, scene, position=r0 is not None)
+    record = chosen(scene, method, representation, compensated, normalise, checked_events).method
     start = checks.real("t0", t0)
-    t = clock_of(dt, n_steps, t_end, save_every, t0=start).times(start)
+    t = schedule_of(dt, n_steps, t_end, save_every, t0=start).times(start)
     arguments = dict(zip(INITIAL, (q0, w0, v0, r0, s0), strict=True))
     lazy = {name: x for name, x in arguments.items() if isinstance(x, da.Array)}
     for name, x in lazy.items():
@@ -207,11 +209,11 @@ def propagate(
     if n == 0:
         raise ValueError("q0: found one body; accepted: (N, 4), or another with N rows")
     scene.packed(n)  # raises for another number of bodies
-    kind = checks.precision(dtype, *like)
+    precision = checks.precision(dtype, *like)
     options = {
-        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "dtype": kind,
+        "dt": dt, "n_steps": n_steps, "t_end": t_end, "save_every": save_every, "dtype": precision,
         "method": record, "representation": representation, "compensated": compensated,
-        "normalise": normalise, "t0": t0, "events": watched, "n_threads": 1,
+        "normalise": normalise, "t0": t0, "events": checked_events, "n_threads": 1,
     }  # fmt: skip
     sizes = _sizes(chunks, n, lazy.values())
     blocks = zip(*(_blocks(x, n, sizes) for x in values.values()), strict=True)
@@ -224,10 +226,10 @@ def propagate(
         for a, b, block in rows
     ]
     tails = {"q": 4, "w": 3, **scene.carried(position=r0 is not None)}
-    arrays: Any = {name: ((t.size,), (k,), kind) for name, k in tails.items()}
+    arrays: Any = {name: ((t.size,), (k,), precision) for name, k in tails.items()}
     arrays["status"] = (), (), np.uint8
-    if watched:
-        arrays["event_times"] = (), (len(watched),), np.float64
+    if checked_events:
+        arrays["event_times"] = (), (len(checked_events),), np.float64
     return LazyTrajectory(t, record.name, [*zip(runs, sizes, strict=True)], arrays)
 
 

@@ -1,12 +1,11 @@
-"""A job for the engine: method, representation, rates, torques and forces, and their formulas."""
+"""What a run computes: method, representation, rates, torques and forces, and their formulas."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
-from fastatt.engine.events import Event, going_on, look
+from fastatt.engine.marks import Event, going_on, look
 from fastatt.engine.status import DIAGNOSTICS, SAVED, flags, larger, relative_change
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
@@ -28,26 +27,29 @@ from fastatt.tracing.finished import Constants, Flat, resources_of
 from fastatt.tracing.formulas import Vector, dot, quat, scale
 from fastatt.tracing.graph import CLASSES, Double, Graph, Number, both, choose, number
 
-#: the most bodies in a tile; few bodies take one vector
-WIDTH = 64
 # below this |m|² products of rates lose digits
 _LOST = {"double": 1e-305, "single": 1e-36}
 
 
 @dataclass(frozen=True)
 class Job:
-    """Everything that the formulas of a run depend on, without its numbers.
+    """What a run computes, without its numbers, and the formulas, each traced when it is used.
 
-    ``kind`` is the precision of the state, "double" or "single". ``shared`` says that all bodies
-    have the same parameters; otherwise ``alike`` are the indices of those that they share.
-    ``raw`` says that the output is not projected, and ``projects`` that the state is projected at
-    some steps.
+    ``precision`` is that of the state, "double" or "single". ``shared`` says that all bodies have
+    the same parameters; otherwise ``alike`` are the indices of those that they share. ``raw`` says
+    that the output is not projected, and ``projects`` that the state is projected at some steps.
+
+    Inputs of formulas are named ("x", i) for the stepped variables, ("p", i) for parameters,
+    ("e", i) for numbers that the method prepared, ("c", i) for constants of a body,
+    ("invariants", i), ("y", i) for initial values, ("largest", i) for diagnostics and ("limit", i)
+    for their bounds, ("t",), ("h",), ("k",), ("edge",) and ("since",); those of events are in
+    ``engine.marks``.
     """
 
     method: Method
     attitude: Attitude
     structure: Structure
-    kind: str = "double"
+    precision: str = "double"
     shared: bool = True
     alike: tuple[int, ...] = ()
     raw: bool = False
@@ -56,63 +58,62 @@ class Job:
     events: tuple[Event, ...] = ()
     #: rates, torques and forces are evaluated between two breakpoints only
     windowed: bool = False
-    #: bodies in a tile; fewer for small ensembles, which is faster and gives the same bits
-    width: int = WIDTH
-
-    @cached_property
-    def formulas(self) -> Formulas:
-        """The formulas, traced when they are used; they do not depend on the width of a tile."""
-        return _formulas(replace(self, width=WIDTH))
 
     @property
     def has_any_angle_form(self) -> bool:
         """Whether a block has an any-angle form in addition to the small-angle one."""
         return self.method.exponentials > 0
 
+    @cached_property
+    def size(self) -> int:
+        """How many stepped variables there are."""
+        structure = self.structure
+        low = structure.tail - structure.coupled if self.attitude.compensated else 0
+        return self.attitude.size + low + structure.tail
 
-class Formulas:
-    """The graphs of a job, each traced when it is used.
+    @property
+    def given(self) -> int:
+        """How many initial values there are."""
+        return self.attitude.coordinates + self.structure.tail
 
-    Inputs are named ("x", i) for the stepped variables, ("p", i) for parameters, ("e", i) for
-    numbers that the method prepared, ("c", i) for constants of a body, ("invariants", i), ("y", i)
-    for initial values, ("largest", i) for diagnostics and ("limit", i) for their bounds,
-    ("t",), ("h",), ("k",), ("edge",) and ("since",); those of events are in ``engine.events``.
-    """
+    @property
+    def handed_out(self) -> int:
+        """How many values a save has, without the norm error."""
+        return self.attitude.stored + self.structure.tail
 
-    def __init__(self, job: Job) -> None:
-        self.job = job
-        low = job.structure.tail - job.structure.coupled if job.attitude.compensated else 0
-        self.size = job.attitude.size + low + job.structure.tail
-        self.parameters = job.structure.n_params
-        self.coordinates = job.attitude.coordinates
-        self.given = self.coordinates + job.structure.tail
-        self.handed_out = job.attitude.stored + job.structure.tail
+    @cached_property
+    def prepared(self) -> int:
+        """How many values the method prepares for a body."""
         scope = self.scope()
-        x = scope.state()
-        #: how many values a method prepares for a body, and how many invariants there are
-        self.extras = len(scope.prepared(scope.number("h"), x))
-        self.invariants = len(scope.motion.invariants(x))
+        return len(scope.prepare(scope.number("h"), scope.state()))
+
+    @cached_property
+    def invariants(self) -> int:
+        """How many invariants there are."""
+        scope = self.scope()
+        return len(scope.motion.invariants(scope.state()))
 
     def scope(self, *, small_angle: bool = False) -> Scope:
         """The numbers and the equations of motion of a formula."""
-        job, graph = self.job, Graph()
-        p, like = graph.inputs("double", "p", self.parameters), graph.input(job.kind, "h")
-        names = ("low", "high") if job.windowed else ()
+        graph = Graph()
+        p = graph.inputs("double", "p", self.structure.n_params)
+        like = graph.input(self.precision, "h")
+        names = ("low", "high") if self.windowed else ()
         window = tuple(graph.input("double", name) for name in names)
         return Scope(self, like, p, window, small_angle=small_angle)
 
     def _form(self, small_angle: bool) -> Flat:
         scope = self.scope(small_angle=small_angle)
         times = scope.time(), scope.number("h"), scope.number("k")
-        x, z = scope.step(*times, scope.state(), scope.extras())
-        flat = scope.finished((*x, z))
-        if not self.job.shared:
-            flat = self._constants.without(flat, more=small_angle)
-        return flat
+        x, z = scope.step(*times, scope.state(), scope.prepared())
+        flat = scope.finished(x=x, angle=(z,))
+        if self.shared:
+            return flat
+        return self._constants.without(flat, more=small_angle)
 
     @cached_property
     def _constants(self) -> Constants:
-        return Constants("p", "c", self.job.alike)
+        return Constants("p", "c", self.alike)
 
     @cached_property
     def constants(self) -> Flat:
@@ -128,7 +129,7 @@ class Formulas:
     @cached_property
     def any_angle(self) -> Flat | None:
         """State and angle after a step or a stage, for any angle, if it has another form."""
-        return self._form(False) if self.job.has_any_angle_form else None
+        return self._form(False) if self.has_any_angle_form else None
 
     @cached_property
     def begin(self) -> Flat:
@@ -136,11 +137,15 @@ class Formulas:
         scope = self.scope()
         y = scope.inputs("y", self.given)
         t, h = scope.time(), scope.number("h")
-        x = scope.defined(h, scope.motion.begin(y[: self.coordinates], y[self.coordinates :]))
-        e = scope.prepared(h, x)
+        x = scope.defined(
+            h, scope.motion.begin(y[: self.attitude.coordinates], y[self.attitude.coordinates :])
+        )
+        e = scope.prepare(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
-        diagnostics = (0.0, *[0.0] * len(SAVED), 0.0)
-        return scope.finished((*stepped, *e, *scope.monitored(h, x), *diagnostics))
+        return scope.finished(
+            x=stepped, e=e, invariants=scope.monitored(h, x), angle=(0.0,),
+            largest=(0.0,) * len(SAVED), status=(0.0,),
+        )  # fmt: skip
 
     @cached_property
     def save(self) -> Flat:
@@ -151,10 +156,10 @@ class Formulas:
         change = relative_change(before, scope.motion.invariants(scope.left_now()))
         largest = scope.inputs("largest", len(SAVED))
         new = [larger(x, abs(y)) for x, y in zip(largest, (norm_error, change), strict=True)]
-        if any(watch.terminal for watch in self.job.events):
+        if any(event.terminal for event in self.events):
             goes_on = going_on(scope)
             new = [choose(goes_on, x, y) for x, y in zip(new, largest, strict=True)]
-        return scope.finished((*y, norm_error, *new))
+        return scope.finished(io=(*y, norm_error), largest=new)
 
     @cached_property
     def status(self) -> Flat:
@@ -162,39 +167,38 @@ class Formulas:
         scope = self.scope()
         limits = scope.graph.inputs("double", "limit", len(DIAGNOSTICS))
         values = (*scope.inputs("angle", 1), *scope.inputs("largest", len(SAVED)))
-        iterates = self.job.method.iterates
-        return scope.finished(
-            (flags(scope.state(), values, limits, self.job.attitude, iterates=iterates),)
-        )
+        iterates = self.method.iterates
+        found = flags(scope.state(), values, limits, self.attitude, iterates=iterates)
+        return scope.finished(status=(found,))
 
     @property
     def regrids(self) -> bool:
         """Whether the stepped variables depend on the step size."""
-        steps = self.job.method.steps
+        steps = self.method.steps
         return steps is not None and bool(steps.prepare or steps.enter or steps.leave)
 
     @cached_property
     def leave(self) -> Flat:
         """The state from the stepped variables."""
         scope = self.scope()
-        return scope.finished(scope.left_now())
+        return scope.finished(x=scope.left_now())
 
     @cached_property
     def enter(self) -> Flat:
         """Stepped variables and prepared numbers from the state."""
         scope = self.scope()
         x = scope.state()
-        e = scope.prepared(scope.number("h"), x)
-        return scope.finished((*scope.entered(scope.time(), scope.number("edge"), x, e), *e))
+        e = scope.prepare(scope.number("h"), x)
+        return scope.finished(x=scope.entered(scope.time(), scope.number("edge"), x, e), e=e)
 
     @cached_property
     def update(self) -> Flat | None:
         """The state after a sample time; None of a job without any."""
-        if self.job.structure.turning.law.sampling is None:
+        if self.structure.rotation.law.sampling is None:
             return None
         scope = self.scope()
         assert isinstance(scope.motion, Coupled)
-        return scope.finished(scope.motion.updated(scope.time(), scope.state()))
+        return scope.finished(x=scope.motion.updated(scope.time(), scope.state()))
 
     @cached_property
     def project(self) -> Flat | None:
@@ -202,16 +206,16 @@ class Formulas:
 
         The errors that projections remove from a compensated state add up.
         """
-        if not self.job.projects:
+        if not self.projects:
             return None
         scope = self.scope()
-        x, n = scope.state(), self.job.attitude.size
+        x, n = scope.state(), self.attitude.size
         (largest,) = scope.inputs("largest", 1)
-        restore = self.job.attitude.restore
+        restore = self.attitude.restore
         a, d = (x[:n], 0.0) if restore is None else restore(x[:n])
-        removed = self.job.attitude.compensated
+        removed = self.attitude.compensated
         lost = largest + abs(d) if removed else larger(largest, abs(d))
-        return scope.finished((*a, *x[n:], lost))
+        return scope.finished(x=(*a, *x[n:]), largest=(lost,))
 
     @cached_property
     def look(self) -> Flat:
@@ -244,7 +248,7 @@ class Formulas:
     @cached_property
     def operations(self) -> int:
         """Floating-point operations of a step's small-angle form."""
-        return self.small_angle.operations * max(1, len(self.job.method.stages))
+        return self.small_angle.operations * max(1, len(self.method.stages))
 
 
 class Scope:
@@ -255,43 +259,43 @@ class Scope:
     """
 
     def __init__(
-        self, formulas: Formulas, like: Number, p: Vector, window: Vector, *,
-        small_angle: bool = False,
-    ) -> None:  # fmt: skip
-        job, structure = formulas.job, formulas.job.structure
-        self.formulas, self.job, self.p = formulas, job, p
-        self.graph, self.kind = like.graph, like.kind
+        self, job: Job, like: Number, p: Vector, window: Vector, *, small_angle: bool = False
+    ) -> None:
+        structure, self.job, self.p = job.structure, job, p
+        self.graph, self.precision = like.graph, like.precision
         is_short = small_angle and job.has_any_angle_form
         self.attitude = job.attitude.short if is_short else job.attitude
         # time and parameters are of double precision, results of the state have its precision
-        self.graph.narrow = self.kind == "single"
+        self.graph.narrow = self.precision == "single"
         self.motion = motion_of(structure, self.attitude, p, like)
         if job.windowed:
             self.motion.evaluate_between(*map(self.graph.time, window))
 
     def inputs(self, group: str, n: int) -> tuple[Number, ...]:
         """Inputs of the state's precision."""
-        return self.graph.inputs(self.kind, group, n)
+        return self.graph.inputs(self.precision, group, n)
 
     def number(self, name: str) -> Number:
         """A time interval in the state's precision, which all bodies share."""
-        return self.graph.span(self.graph.input(self.kind, name))
+        return self.graph.span(self.graph.input(self.precision, name))
 
     def state(self) -> Vector:
         """The stepped variables."""
-        return self.inputs("x", self.formulas.size)
+        return self.inputs("x", self.job.size)
 
-    def extras(self) -> Vector:
+    def prepared(self) -> Vector:
         """The numbers that the method prepared."""
-        return self.inputs("e", self.formulas.extras)
+        return self.inputs("e", self.job.prepared)
 
     def time(self) -> Any:
         """The time, in double precision."""
         return self.graph.time(self.graph.input("double", "t"))
 
-    def finished(self, results: Vector) -> Flat:
-        """The graph for some results."""
-        return Flat(self.graph, results, self.kind)
+    def finished(self, **results: Sequence[Any]) -> Flat:
+        """The graph for results by the groups of rows that they go to."""
+        flat = Flat(self.graph, [x for group in results.values() for x in group], self.precision)
+        flat.groups = {name: len(group) for name, group in results.items()}
+        return flat
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
         """(state, squared rotation angle) after one step, or one stage."""
@@ -300,11 +304,11 @@ class Scope:
         stepped: tuple[Vector, Any]
         if steps.stage is not None:
             stepped = steps.stage(self.motion, t, h, k, x, e)
-        elif isinstance(turning := self.job.structure.turning, RigidBody) or turning.law.states:
+        elif isinstance(rotation := self.job.structure.rotation, RigidBody) or rotation.law.states:
             assert steps.body is not None
             stepped = steps.body(self.motion, t, h, x)
         else:
-            constant = turning.law.is_constant
+            constant = rotation.law.is_constant
             chosen = steps.constant if constant and steps.constant else steps.rate
             assert chosen is not None
             stepped = chosen(self.motion, t, h, x)
@@ -325,7 +329,7 @@ class Scope:
         function = getattr(self.job.method.steps, name, None)
         return default if function is None else tuple(function(self.motion, *args))
 
-    def prepared(self, h: Any, x: Vector) -> Vector:
+    def prepare(self, h: Any, x: Vector) -> Vector:
         """The numbers that the method prepares for a body."""
         return self._by_method("prepare", (), h, x)
 
@@ -340,7 +344,7 @@ class Scope:
     def left_now(self) -> Vector:
         """The state from the stepped variables, after the given number of steps."""
         since, edge = self.number("since"), self.number("edge")
-        return self.left(self.time(), since, edge, self.state(), self.extras())
+        return self.left(self.time(), since, edge, self.state(), self.prepared())
 
     def output(self, x: Vector) -> tuple[Vector, Any]:
         """(the values of a trajectory, norm error)."""
@@ -367,8 +371,8 @@ class Scope:
             return values
         m = motion.momentum_of(x)[:3]
         angle = scale(h, motion.angular_velocity(m))
-        seen = dot(angle, angle) > float(np.finfo(DTYPES[self.kind]).eps)
-        lost = both(dot(m, m) < _LOST[self.kind], seen)
+        seen = dot(angle, angle) > float(np.finfo(DTYPES[self.precision]).eps)
+        lost = both(dot(m, m) < _LOST[self.precision], seen)
         return tuple(choose(lost, math.nan, each) for each in values)
 
 
@@ -376,12 +380,11 @@ class GivenScope(Scope):
     """A job's motion, with the numbers that a formula is called with, in the precision of x."""
 
     def __init__(
-        self, formulas: Formulas, x: Vector, p: Vector, window: Vector = (), *,
-        small_angle: bool = False,
-    ) -> None:  # fmt: skip
-        if len(p) != formulas.parameters:
-            raise TypeError(f"p: found {len(p)} numbers; accepted: {formulas.parameters}")
-        super().__init__(formulas, x[0], tuple(map(Double, p)), window, small_angle=small_angle)
+        self, job: Job, x: Vector, p: Vector, window: Vector = (), *, small_angle: bool = False
+    ) -> None:
+        if len(p) != job.structure.n_params:
+            raise TypeError(f"p: found {len(p)} numbers; accepted: {job.structure.n_params}")
+        super().__init__(job, x[0], tuple(map(Double, p)), window, small_angle=small_angle)
 
     def at(self, t: Any) -> Any:
         """A time in the precision of the engine's times."""
@@ -389,10 +392,4 @@ class GivenScope(Scope):
 
     def span(self, h: Any) -> Any:
         """A time interval in the precision of x."""
-        return self.graph.span(number(self.graph, CLASSES[self.kind](h), self.kind))
-
-
-@lru_cache(maxsize=64)
-def _formulas(job: Job) -> Formulas:
-    """The formulas of a job of any width, made once in a process."""
-    return Formulas(job)
+        return self.graph.span(number(self.graph, CLASSES[self.precision](h), self.precision))

@@ -1,7 +1,7 @@
 """The machine: performs a tape on tiles of bodies; plain loops over NumPy arrays.
 
 A tile is a few vectors of bodies that stay in the first-level cache for a whole tape. ``rows`` has
-a row of lanes for each number of the state, and more (``fastatt.engine.program.Layout``). A tile
+a row of lanes for each number of the state, and more (``fastatt.engine.program``). A tile
 always runs its full width (the last body fills it up), so that a body meets the same instructions
 whatever the size of the ensemble.
 
@@ -155,9 +155,9 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
 
 
 @functools.cache
-def tile_machine(kind: str, *, any_angle: bool, forks: bool) -> Callable[..., int]:
+def tile_machine(precision: str, *, any_angle: bool, forks: bool) -> Callable[..., int]:
     """``perform`` for a precision; with any-angle steps, and with forks."""
-    real, n = TYPES[kind], types.int64
+    real, n = TYPES[precision], types.int64
     rows, wide = types.Array(real, 2, "C"), types.Array(types.float64, 2, "C")
     read, to = (types.Array(real, 3, "A", readonly=x) for x in (True, False))
     params = types.Array(types.float64, 3, "A", readonly=True)

@@ -1,13 +1,13 @@
 """The formulas of a job over the lanes of a tile, in one generated function.
 
 The function is called with a part, ``run(part, rows, wide, numbers, whole, first, last)``; the
-parts are the first actions of ``engine.tape``. ``Layout`` defines where in ``rows`` and ``wide``
-each number of a lane lies.
+parts are the first actions of ``engine.tape``. A ``Program`` knows where in ``rows`` and
+``wide`` each number of a lane lies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from itertools import accumulate
 from typing import Any
@@ -20,8 +20,8 @@ from fastatt.codegen.memory import DTYPES, aligned
 from fastatt.codegen.modules import MachineCode
 from fastatt.codegen.processor import processor
 from fastatt.codegen.two_forms import TwoForms
-from fastatt.engine import events
-from fastatt.engine.job import WIDTH, Formulas, Job
+from fastatt.engine import marks
+from fastatt.engine.job import Job
 from fastatt.engine.machine import PROGRAM, TIME, Tile
 from fastatt.engine.status import DIAGNOSTICS, SAVED
 from fastatt.engine.tape import Action
@@ -37,35 +37,43 @@ def _firsts(**sizes: int) -> dict[str, int]:
     return dict(zip((*sizes, "total"), accumulate(sizes.values(), initial=0), strict=True))
 
 
-class Layout:
-    """The memory of a tile.
+#: the most bodies in a tile; few bodies take one vector
+WIDTH = 64
 
-    ``rows`` are in the state's precision, ``wide`` are doubles; ``numbers``, which all lanes share,
-    are the time, the limits of the diagnostics, parameters, and a method's stages.
+
+class Program(TwoForms):
+    """The function of a job with small-angle steps, and that with any-angle steps; their memory.
+
+    A tile has a ``width``, the number of its bodies, which is less for small ensembles: that is
+    faster and gives the same bits. ``rows`` are in the state's precision, ``wide`` are doubles;
+    ``numbers``, which all lanes share, are the time, the limits of the diagnostics, parameters, and
+    a method's stages: where each group begins.
     """
 
-    def __init__(self, formulas: Formulas) -> None:
-        job = formulas.job
-        constants = formulas.constants
-        kinds = [constants.nodes[i].kind for i in constants.results]
-        self.constants = [(kind != job.kind, kinds[:i].count(kind)) for i, kind in enumerate(kinds)]
-        watched = events.sizes(job.events, formulas.size, formulas.extras)
+    def __init__(self, job: Job, width: int = WIDTH) -> None:
+        self.job, self.width = job, width
+        precisions = [job.constants.nodes[i].precision for i in job.constants.results]
+        is_wide = [x != job.precision for x in precisions]
+        self.constants = [
+            (wide, precisions[:i].count(precisions[i])) for i, wide in enumerate(is_wide)
+        ]
+        event_groups, parameters = marks.groups(job), job.structure.n_params
         #: what a body takes with it from one tape to the next
         self.kept = {
-            "x": formulas.size, "e": formulas.extras, "invariants": formulas.invariants,
-            **watched, "angle": 1, "largest": len(SAVED), "status": 1,
+            "x": job.size, "e": job.prepared, "invariants": job.invariants, **event_groups,
+            "angle": 1, "largest": len(SAVED), "status": 1,
         }  # fmt: skip
         #: which of these belong to events
-        self.is_watched = np.repeat([x in watched for x in self.kept], [*self.kept.values()])
-        handed_out = max(formulas.handed_out + 1, formulas.given)
-        self.rows = _firsts(**self.kept, c=kinds.count(job.kind), io=handed_out)
-        others = sum(kind != job.kind for kind in kinds)
-        p = 0 if job.shared else formulas.parameters
-        self.wide = _firsts(p=p, c=others, called=formulas.calls)
+        self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
+        handed_out = max(job.handed_out + 1, job.given)
+        self.rows = _firsts(**self.kept, c=len(precisions) - sum(is_wide), io=handed_out)
+        p = 0 if job.shared else parameters
+        self.wide = _firsts(p=p, c=sum(is_wide), called=job.calls)
         self.numbers = _firsts(
-            **dict.fromkeys(TIME.names or (), 1), limit=len(DIAGNOSTICS), p=formulas.parameters,
+            **dict.fromkeys(TIME.names or (), 1), limit=len(DIAGNOSTICS), p=parameters,
             stage=3 * len(job.method.stages),
         )  # fmt: skip
+        super().__init__()
 
     def place(self, group: str, i: int = 0) -> Place:
         """The place of a number with a row of lanes."""
@@ -80,83 +88,69 @@ class Layout:
             return Place(self.wide[group] + i, "wide")
         return Place(self.rows[group] + i)
 
-    def places(self, **sizes: int) -> list[Place]:
+    def places(self, groups: Mapping[str, int]) -> list[Place]:
         """The places of groups of numbers."""
-        return [self.place(group, i) for group, n in sizes.items() for i in range(n)]
-
-
-class Program(TwoForms):
-    """The function of a job with small-angle steps, and that with any-angle steps."""
-
-    def __init__(self, job: Job) -> None:
-        self.job, self.formulas = job, job.formulas
-        self.layout = Layout(self.formulas)
-        super().__init__()
+        return [self.place(group, i) for group, n in groups.items() for i in range(n)]
 
     def record(self, tables: int) -> Array:
         """What the machine has to know, with the address of the tables."""
-        rows, record = self.layout.rows, np.zeros(1, PROGRAM)
+        rows, record = self.rows, np.zeros(1, PROGRAM)
         record["small_angle"], record["any_angle"] = self.entry, self.any_angle
-        record["tables"], record["coordinates"] = tables, self.formulas.coordinates
+        record["tables"], record["coordinates"] = tables, self.job.attitude.coordinates
         record["fork"], record["angle"], record["io"] = rows["middle"], rows["angle"], rows["io"]
         return record
 
     def _new_memory(self) -> tuple[Tile, Array, Array, Array]:
         """A thread's tile with its numbers, and two copies of rows."""
-        layout, kind = self.layout, DTYPES[self.job.kind]
-        numbers = aligned(layout.numbers["total"], DTYPES["double"])
-        rows = self._rows(layout.rows["total"], kind)
-        wide = self._rows(layout.wide["total"], DTYPES["double"])
-        tile = Tile(rows, wide, numbers[: layout.numbers["limit"]].view(TIME))
-        before, fork = (self._rows(layout.rows["largest"], kind) for _ in range(2))
+        dtype = DTYPES[self.job.precision]
+        numbers = aligned(self.numbers["total"], DTYPES["double"])
+        rows = self._rows(self.rows["total"], dtype)
+        wide = self._rows(self.wide["total"], DTYPES["double"])
+        tile = Tile(rows, wide, numbers[: self.numbers["limit"]].view(TIME))
+        before, fork = (self._rows(self.rows["largest"], dtype) for _ in range(2))
         return tile, numbers, before, fork
 
-    def _rows(self, n: int, kind: Any) -> Array:
+    def _rows(self, n: int, dtype: Any) -> Array:
         """Rows that begin at multiples of a cache line."""
-        return aligned(max(1, n) * self.job.width, kind).reshape(-1, self.job.width)
+        return aligned(max(1, n) * self.width, dtype).reshape(-1, self.width)
 
     def _compiled(self, *, small_angle: bool) -> MachineCode:
         job, formulas = self.job, self._formulas(small_angle)
-        lanes = processor().lanes(job.kind)
+        lanes = processor().lanes(job.precision)
         return LaneProgram(
             "\n".join([*self._text(formulas, lanes), ""]), formulas,
-            Shape(job.kind, job.width, lanes),
-            {"rows": job.kind, "wide": "double", "numbers": "double"},
-            self.formulas.resources,
+            Shape(job.precision, self.width, lanes),
+            {"rows": job.precision, "wide": "double", "numbers": "double"}, job.resources,
         ).compiled()  # fmt: skip
 
     def _formulas(self, small_angle: bool) -> dict[str, LaneFormula]:
         """The formulas by name; with any-angle steps those alone."""
-        forms, job, sizes = self.formulas, self.job, self.layout.kept
-        watched = events.sizes(job.events, forms.size, forms.extras)
-        step = forms.small_angle if small_angle else forms.any_angle
+        job, step = self.job, self.job.small_angle if small_angle else self.job.any_angle
         assert step is not None
         formulas = self._step(step)
 
-        def add(name: str, flat: Flat | None, clock: str = "", **sizes: int) -> None:
+        def add(name: str, flat: Flat | None, clock: str = "") -> None:
             if flat is not None:
-                formulas[name] = self._formula(flat, self.layout.places(**sizes), clock)
+                formulas[name] = self._formula(flat, self.places(flat.groups), clock)
 
-        x, e = forms.size, forms.extras
         if job.events:
-            add("watch", events.after_step(forms.scope()), "moment", x=x, **watched, angle=1)
+            add("watch", marks.after_step(job.scope()), "moment")
         if not small_angle:
             return formulas
-        if self.layout.constants:
-            add("constants", forms.constants, c=len(self.layout.constants))
-        add("start", forms.begin, "moment", **{x: sizes[x] for x in sizes if x not in watched})
-        add("save", forms.save, "moment", io=forms.handed_out + 1, largest=len(SAVED))
-        add("project", forms.project, x=x, largest=1)
-        if forms.regrids:
-            add("leave", forms.leave, "moment", x=x)
-            add("enter", forms.enter, "moment", x=x, e=e)
-        add("jump", forms.update, "moment", x=x)
-        add("status", forms.status, status=1)
+        if self.constants:
+            places = self.places({"c": len(self.constants)})
+            formulas["constants"] = self._formula(job.constants, places, "")
+        add("start", job.begin, "moment")
+        add("save", job.save, "moment")
+        add("project", job.project)
+        if job.regrids:
+            add("leave", job.leave, "moment")
+            add("enter", job.enter, "moment")
+        add("jump", job.update, "moment")
+        add("status", job.status)
         if job.events:
-            add("middle", events.middle(forms.scope()), "moment", middle=len(job.events))
-            after = range(events.EVENT.index("after"), sizes["event"], len(events.EVENT))
-            places = [*self.layout.places(last=x), *(self.layout.place("event", k) for k in after)]
-            formulas["look"] = self._formula(forms.look, places, "moment")
+            add("middle", marks.middle(job.scope()), "moment")
+            add("look", job.look, "moment")
         return formulas
 
     def _step(self, flat: Flat) -> dict[str, LaneFormula]:
@@ -169,11 +163,10 @@ class Program(TwoForms):
 
         calls, rest = without_shared_calls(flat, is_shared)
         clock = "stage" if job.method.stages else "step"
-        places = self.layout.places(x=self.formulas.size, angle=1)
-        step = self._formula(rest, places, clock)
-        formulas = {"step": step._replace(largest=self.formulas.size)}
+        step = self._formula(rest, self.places(flat.groups), clock)
+        formulas = {"step": step._replace(largest=job.size)}
         if calls is not None:
-            called = self.layout.places(called=len(calls.results))
+            called = self.places({"called": len(calls.results)})
             formulas["step_calls"] = self._formula(calls, called, clock)._replace(lanes=1)
         return formulas
 
@@ -202,25 +195,25 @@ class Program(TwoForms):
         if which == "moment":
             exact["step"] = graph.input("double", "count") + n
         spans["since"] = since
-        kinds = ["double"] * len(exact) + [self.job.kind] * len(spans)
+        precisions = ["double"] * len(exact) + [self.job.precision] * len(spans)
         names = [(name,) for name in (*exact, *spans)]
-        return StepTimes(Flat(graph, [*exact.values(), *spans.values()], kinds), names)
+        return StepTimes(Flat(graph, [*exact.values(), *spans.values()], precisions), names)
 
     def _place(self, group: str, i: int = 0) -> Place:
         """The place of an input."""
-        job, numbers = self.job, self.layout.numbers
+        job, numbers = self.job, self.numbers
         if group == "stage":
             return Place(numbers["stage"] + i, "numbers", "indexed")
         is_own = group == "p" and not (job.shared or i in job.alike)
         if group in numbers and not is_own:
             return Place(numbers[group] + i, "numbers", "shared")
-        place = self.layout.place(group, i)
+        place = self.place(group, i)
         if group == "called":
-            return Place(place.row * job.width, place.array, "computed")
+            return Place(place.row * self.width, place.array, "computed")
         return place
 
     def _text(self, formulas: dict[str, LaneFormula], lanes: int) -> Iterator[str]:
-        each = f"for j in range(0, {self.job.width}, {lanes}):"
+        each = f"for j in range(0, {self.width}, {lanes}):"
 
         def call(name: str, n: str = "first", i: str = "0", j: str = "j") -> str:
             steps = "" if formulas[name].clock is None else f", {n}"
@@ -239,7 +232,7 @@ class Program(TwoForms):
         i, depth = "0", " " * 8
         if self.job.method.stages:
             # the number of stages comes after the resources
-            yield f"        for i in range(whole[{len(self.formulas.resources)}]):"
+            yield f"        for i in range(whole[{len(self.job.resources)}]):"
             i, depth = "3 * i", " " * 12
         if "step_calls" in formulas:
             yield depth + call("step_calls", "n", i, "0")
@@ -249,9 +242,9 @@ class Program(TwoForms):
 
 
 @lru_cache(maxsize=256)
-def program(job: Job) -> Program:
+def program(job: Job, width: int) -> Program:
     """The program of a job, made once in a process."""
-    return Program(job)
+    return Program(job, width)
 
 
 def width_for(bodies: int, lanes: int) -> int:

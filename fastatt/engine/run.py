@@ -1,8 +1,11 @@
-"""A run of a job's program over a group of bodies: its arrays, and the calls of the machine."""
+"""A run of a program over some bodies: their arrays, the threads, and the pieces of the tape."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import pairwise
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,12 +13,20 @@ from numpy.typing import NDArray
 
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.engine.machine import Bodies, tile_machine
-from fastatt.engine.pool import Pool
 from fastatt.engine.program import Program
-from fastatt.engine.tape import Action, Piece, Steps, Tape
+from fastatt.engine.status import Status
+from fastatt.engine.tape import BLOCK, CALLING_LENGTH, Action, Piece, Steps, Tape
 from fastatt.scene.models import Packed
+from fastatt.threads import in_threads
 
 Array = NDArray[Any]
+
+_OPERATIONS = 2_000_000_000  # of the first piece of a group of tiles
+_SECONDS = 0.1  # of a piece of a group, after which Ctrl-C is answered
+# tiles of a group, and of one whose bodies call a function, which may take any time
+_TILES, _CALLING = 64, 1
+# steps of the first piece in which events are looked for
+_EVENTS = 1024
 
 
 class Results(NamedTuple):
@@ -27,6 +38,16 @@ class Results(NamedTuple):
     saves: Array
     status: NDArray[np.uint8]
     event_times: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], dtype: Any, events: int, saves: int) -> Results:
+        """Arrays for (bodies, values), not initialised but for the times of events."""
+        bodies, values = shape
+        return cls(
+            np.empty((saves, bodies, values + 1), dtype),
+            np.empty(bodies, np.uint8),
+            np.full((bodies, events), np.nan),
+        )
 
     def of_bodies(self, rows: Any) -> Results:
         """Those of some bodies: views for a slice, copies for an array of indices."""
@@ -40,9 +61,13 @@ class Results(NamedTuple):
         self.saves[:, rows], self.status[rows] = other.saves, other.status
         self.event_times[rows] = other.event_times
 
+    def leave(self, rows: Any = slice(None), first: int = 0) -> None:
+        """Mark bodies that did not reach the end, whose saves are missing from one on."""
+        self.saves[first:, rows], self.status[rows] = np.nan, Status.UNFINISHED
+
 
 class Setup:
-    """What all runs of a plan share: program, tables, limits, and the bodies' numbers.
+    """A program with the numbers of its bodies: what all runs of a plan share.
 
     ``limits`` are the bounds of the diagnostics; ``params`` (N, k) or (1, k), ``flags`` (N,) or
     (1,) are those that bodies have from the start.
@@ -54,16 +79,16 @@ class Setup:
     ) -> None:  # fmt: skip
         self.program, self.params, self.flags = program, params, flags
         self.tables = packed.tables
-        job, formulas = program.job, program.formulas
+        job = program.job
         self._held = [
-            x.address if kind == "function" else packed.tables[x] for kind, x in formulas.resources
+            x.address if what == "function" else packed.tables[x] for what, x in job.resources
         ]
         addresses = (x if isinstance(x, int) else address_of(x) for x in self._held)
         stages = np.array(job.method.stages, dtype=np.float64)
         # the number of stages comes after the resources
         self._whole = np.array([*addresses, len(stages)], dtype=np.int64)
         self.record = program.record(address_of(self._whole))
-        numbers = program.layout.numbers
+        numbers = program.numbers
         self.numbers = np.concatenate(
             [np.zeros(numbers["limit"]), limits, params[0], stages.ravel()]
         )
@@ -74,12 +99,13 @@ class Run:
     """A run of some bodies: of all ``rows`` of the ensemble, of a slice, or of an array of them.
 
     ``start`` are attitudes and the rest of the initial state, (1, k) or (N, k) of the ensemble.
-    ``results`` are those of these bodies. ``states`` (n, k) are what each takes with it.
+    ``results`` are those of these bodies. ``states`` (n, k) are what each takes with it; the run
+    goes on from those that another ``kept``.
     """
 
     def __init__(
         self, setup: Setup, steps: Steps, start: tuple[Array, Array], rows: Any, results: Results,
-        t0: float,
+        t0: float, n_threads: int = 1, kept: Mapping[str, Array] | None = None,
     ) -> None:  # fmt: skip
         program = setup.program
 
@@ -90,42 +116,71 @@ class Run:
         self.params, self._flags = own(setup.params), own(setup.flags)
         params = self.params[:1, :0] if program.job.shared else self.params
         self._inputs: tuple[Array, ...] = (own(start[0])[None], own(start[1])[None], params[None])
-        n, layout = results.status.size, program.layout
-        self.states = np.empty((n, layout.is_watched.size), DTYPES[program.job.kind])
+        n = results.status.size
+        self.states = np.empty((n, program.is_of_events.size), DTYPES[program.job.precision])
         self._machine = tile_machine(
-            program.job.kind, any_angle=program.job.has_any_angle_form, forks=steps.forks
+            program.job.precision, any_angle=program.job.has_any_angle_form, forks=steps.forks
         )
+        # groups of tiles, and the steps of the next piece, by the time that they take
+        width, calls = program.width, program.job.calls > 0
+        tiles = -(-n // width)
+        least, each = 8 * n_threads if n_threads > 1 else 1, _CALLING if calls else _TILES
+        groups = min(tiles, max(least, tiles // each))
+        self._bounds, self._n_threads = [tiles * i // groups for i in range(groups + 1)], n_threads
+        self._grain = self._pace = CALLING_LENGTH if calls else BLOCK
+        if not calls:
+            most = min(n, width * -(-tiles // groups))
+            self._pace = _OPERATIONS // max(1, program.job.operations) // most
+            self._pace = min(self._pace, _EVENTS) if program.job.events else self._pace
+        self._begin()
+        if kept is not None:
+            self._resume(kept)
+
+    def _begin(self) -> None:
+        """Do what comes before the first tape."""
+
+    def _resume(self, kept: Mapping[str, Array]) -> None:
+        """Go on from what another run kept."""
+        self.states[:, ~self.setup.program.is_of_events] = kept["states"]
+
+    def kept(self) -> dict[str, Array]:
+        """Copies of what another run needs to go on from here."""
+        return {"states": self.states[:, ~self.setup.program.is_of_events]}
 
     @property
     def squares(self) -> Array:
         """The largest squared angle of a step of each body, rad²."""
-        return self.states[:, self.setup.program.layout.rows["angle"]]
+        return self.states[:, self.setup.program.rows["angle"]]
 
-    def begin(self) -> None:
-        """Do what comes before the first tape."""
+    def pieces(self, stops: Sequence[int] = ()) -> Iterator[Piece]:
+        """The pieces to ``advance`` by, one after the other, of 0.1 s if they are not too few.
 
-    def resume(self, kept: Mapping[str, Array], *, same_events: bool) -> None:
-        """Go on from what another run kept, of the same events or others."""
-        self.states[:, ~self.setup.program.layout.is_watched] = kept["states"]
+        A piece ends after each of the saves whose numbers are in ``stops``.
+        """
+        return self.steps.pieces(self.t0, lambda: max(self._pace, self._grain), stops)
 
-    def kept(self) -> dict[str, Array]:
-        """Copies of what another run needs to go on from here."""
-        return {"states": self.states[:, ~self.setup.program.layout.is_watched]}
-
-    def advance(self, piece: Piece, pool: Pool) -> None:
+    def advance(self, piece: Piece) -> None:
         """Perform a piece of the run."""
-        self._perform_piece(piece, pool)
-        self.results.status[:] = self.states[:, -1].astype(np.uint8) | self._flags
+        tiles = pairwise(self._bounds)
+        calls = [partial(self.perform, piece.tape, slice(None), *ends) for ends in tiles]
+        seconds = in_threads(calls, self._n_threads)
+        share = _SECONDS / max(1e-9, *seconds)
+        if not 1.0 <= share <= 2.0:
+            self._pace = int(self._pace * min(2.0, share))
+        self._read_flags()
 
-    def _perform_piece(self, piece: Piece, pool: Pool) -> None:
-        pool.perform(lambda first, last: self.perform(piece.tape, slice(None), first, last))
+    def _read_flags(self) -> None:
+        self.results.status[:] = self.states[:, -1].astype(np.uint8) | self._flags
 
     def perform(
         self, tape: Tape, rows: Any = slice(None), first: int = 0, last: int | None = None
-    ) -> None:
-        """Perform a tape on tiles of some bodies, by default all; several threads may do so."""
-        program, record, saves = self.setup.program, self.setup.record, self.results.saves
-        states, inputs = self.states, self._inputs
+    ) -> float:
+        """Perform a tape on tiles of some bodies, by default all; several threads may do so.
+
+        Returns the time that it took, s.
+        """
+        begin, program, record = perf_counter(), self.setup.program, self.setup.record
+        states, inputs, saves = self.states, self._inputs, self.results.saves
         is_some = not isinstance(rows, slice)
         if is_some:
             states = states[rows]
@@ -137,7 +192,7 @@ class Run:
         before, fork = (x if there else None for x, there in zip(copies, wanted, strict=True))
         q0, y0, params = inputs
         bodies = Bodies(q0, y0, params, states[None], saves)
-        last = -(-len(states) // program.job.width) if last is None else last
+        last = -(-len(states) // program.width) if last is None else last
         while first < last:
             first = self._machine(tape, record, tile, before, fork, bodies, first, last)
             if first < last:
@@ -147,3 +202,4 @@ class Run:
             self.states[rows] = states
             slots = np.unique(tape["slot"][tape["action"] == Action.SAVE])
             self.results.saves[slots[:, None], rows] = saves[slots]
+        return perf_counter() - begin

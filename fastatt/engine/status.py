@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import IntFlag
 from functools import reduce
 from typing import Any, NamedTuple
@@ -72,13 +71,10 @@ class Diagnostic(NamedTuple):
     """A quantity of which a run keeps each body's largest value, and the flag beyond its bound.
 
     The first is the square of a step's rotation angle, which the step computes. The others are
-    those of ``Formulas.save``. ``bound`` takes a run's plan: its ``limit`` (the largest rotation
-    angle of a step for which the method is trustworthy, rad), ``kind`` (the precision) and
-    ``attitude``. ``infinite`` is the flag of an infinite value of a method that iterates;
-    ``at_poles`` is the flag for coordinates with poles, if it is another one.
+    those of ``Formulas.save``. ``infinite`` is the flag of an infinite value of a method that
+    iterates; ``at_poles`` is the flag for coordinates with poles, if it is another one.
     """
 
-    bound: Callable[[Any], float]
     exceeded: Status
     infinite: Status
     at_poles: Status | None = None
@@ -88,20 +84,21 @@ class Diagnostic(NamedTuple):
         return self.at_poles if self.at_poles and attitude.has_poles else self.exceeded
 
 
-def _norm_bound(run: Any) -> float:
-    # at 1e-3 RK4's attitude is wrong by more than that
-    bound = 1e-3 if run.kind == np.float64 else 1e-2
-    return math.inf if run.attitude.restore is None else bound
-
-
 #: of the angle, the norm and the invariants, in the order of the rows of a run's diagnostics
 DIAGNOSTICS = (
-    Diagnostic(lambda run: run.limit, Status.STEP_TOO_LARGE, Status.NOT_CONVERGED, Status.SINGULAR),
-    Diagnostic(_norm_bound, Status.NORM_LOST, Status.NORM_LOST),
-    Diagnostic(lambda run: 1e-2, Status.INVARIANT, Status.INVARIANT),
+    Diagnostic(Status.STEP_TOO_LARGE, Status.NOT_CONVERGED, Status.SINGULAR),
+    Diagnostic(Status.NORM_LOST, Status.NORM_LOST),
+    Diagnostic(Status.INVARIANT, Status.INVARIANT),
 )
 #: those that are evaluated at the saves
 SAVED = DIAGNOSTICS[1:]
+
+
+def bounds(limit: float, attitude: Any, dtype: Any) -> tuple[float, ...]:
+    """The bounds of the diagnostics; the ``limit`` is that of a step's rotation angle, rad."""
+    # at 1e-3 RK4's attitude is wrong by more than that
+    norm = 1e-3 if dtype == np.float64 else 1e-2
+    return limit, math.inf if attitude.restore is None else norm, 1e-2
 
 
 def relative_change(a: Vector, b: Vector) -> Any:

@@ -65,8 +65,8 @@ LEG = np.dtype(
     [(name, np.float64) for name in CLOCK]
     + [(name, np.int64) for name in ("first", "end", "whole", "jumps")]
 )
-#: steps of a block, after which rotation angles are checked
-BLOCK = 256
+#: steps of a block, after which rotation angles are checked, and of one whose steps call a function
+BLOCK, CALLING_LENGTH = 256, 2
 #: legs and saves of a piece of a tape, at most
 _LEGS, _SAVES = 1 << 13, 1 << 12
 # records of the tapes of a run that are kept for the next run, at most
@@ -98,13 +98,6 @@ UNBROKEN = Breaks(
     np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, -np.inf), np.full(1, np.inf),
     np.zeros(1, np.bool_),
 )  # fmt: skip
-
-
-class Saves(NamedTuple):
-    """Times of saves since the start of a run, s, in its order, with slack for their rounding."""
-
-    since: Times
-    slack: Times
 
 
 def on_grid(since: Any, dt: Any, slack: Any) -> tuple[Any, Any]:
@@ -145,13 +138,14 @@ def legs_of(dt: float, n_steps: int, breaks: Breaks = UNBROKEN, end: float | Non
 
 
 class Piece(NamedTuple):
-    """A part of a run: its tape, and what is done when it ends.
+    """A part of a run: its tape, its share of the steps, and what is done when it ends.
 
     ``position`` counts all steps, shorter ones too; ``whole`` the whole ones, -1 within a step;
     ``saved`` the saves.
     """
 
     tape: Tape
+    share: tuple[float, float]
     position: int
     whole: int
     saved: int
@@ -160,21 +154,22 @@ class Piece(NamedTuple):
 class Steps:
     """The steps and saves of a run; a position is a number of steps, shorter ones included.
 
+    ``saves`` are the times of saves since the start, s, in order, and the slack for their rounding.
     ``every`` counts the steps between two projections, 0 for none; ``slots`` are the places of the
     saves in the output. ``regrids`` says that the stepped variables depend on the clock. The run
     goes on from an earlier one, if it ``resumes``, after ``done`` whole steps. If events are
-    ``watched``, each leg begins with ``LOOK`` and ``MIDDLE``, and so does the run, if it is ``new``
+    looked for, each leg begins with ``LOOK`` and ``MIDDLE``, and so does the run, if it is ``new``
     to its events.
     """
 
     def __init__(
-        self, legs: Legs, saves: Saves, *, slots: Whole | None = None, every: int = 0,
+        self, legs: Legs, saves: tuple[Times, Times], *, slots: Whole | None = None, every: int = 0,
         block: int = BLOCK, regrids: bool = True, resumes: bool = False, done: int = 0,
-        watched: bool = False, new: bool = True,
+        has_events: bool = False, new: bool = True,
     ) -> None:  # fmt: skip
         self.legs, self._every, self._block, self._regrids = legs, every, block, regrids
-        self._resumes, self._watched, self._new = resumes, watched, new
-        lengths = legs["end"] - legs["first"]
+        self._resumes, self._has_events, self._new = resumes, has_events, new
+        lengths, (saved, slack) = legs["end"] - legs["first"], saves
         self._stops = np.cumsum(lengths)
         self._starts = self._stops - lengths
         # whole steps until the end of each leg
@@ -182,18 +177,18 @@ class Steps:
         self.length = int(self._stops[-1])
         reached = int(np.searchsorted(self._whole, done))
         self.first = int(self._stops[reached] - self._whole[reached]) + done if done else 0
-        self._slots = np.arange(saves.since.size) if slots is None else slots
+        self._slots = np.arange(saved.size) if slots is None else slots
         until = np.abs(legs["begin"] + legs["end"] * legs["dt"])
-        leg = np.minimum(np.searchsorted(until, np.abs(saves.since) - saves.slack), len(legs) - 1)
-        since = saves.since - legs["begin"][leg]
-        counts, self._rests = on_grid(since, legs["dt"][leg], saves.slack)
+        leg = np.minimum(np.searchsorted(until, np.abs(saved) - slack), len(legs) - 1)
+        since = saved - legs["begin"][leg]
+        counts, self._rests = on_grid(since, legs["dt"][leg], slack)
         positions = self._starts[leg] + counts - legs["first"][leg]
         #: twice the position of a save, and one more within the next step
         self._keys = 2 * np.maximum(positions, self.first) + (self._rests != 0.0)
         # pieces by their first position and length, in times since the start
         self._pieces: dict[tuple[int, int, int], Piece] = {}
         #: whether a tape copies tiles
-        self.forks = watched or bool(self._rests.any())
+        self.forks = has_events or bool(self._rests.any())
 
     def step_before(self, positions: Whole) -> tuple[Legs, Whole]:
         """The legs of the steps that end at some positions, and the steps of a leg before each."""
@@ -255,7 +250,9 @@ class Steps:
             end = min(self._end(position, steps), stop)
             whole, is_within = self._whole_until(end)
             tape = self._tape(position, end)
-            piece = Piece(tape, end, -1 if is_within else whole, self._saves_until(end))
+            steps = max(1, self.length - self.first)
+            share = (position - self.first) / steps, (end - self.first) / steps
+            piece = Piece(tape, share, end, -1 if is_within else whole, self._saves_until(end))
             if tape.size + sum(x.tape.size for x in self._pieces.values()) <= _KEPT:
                 self._pieces[key] = piece
         return piece
@@ -275,8 +272,8 @@ class Steps:
         stops = np.sort(np.concatenate([[position], blocks, projected, saved, starts, [end]]))
         taken = np.diff(stops)
         stops, taken = stops[1:][taken > 0], taken[taken > 0]
-        looks = starts if self._watched else starts[:0]
-        if self._watched and self._new and is_first and position < end:
+        looks = starts if self._has_events else starts[:0]
+        if self._has_events and self._new and is_first and position < end:
             looks = np.union1d(looks, position)
         groups: list[tuple[Whole, Tape]] = []
 
@@ -285,7 +282,7 @@ class Steps:
                 groups.append((positions, records(what, positions, **about)))
 
         # what happens at the same position is in this order
-        goes_on = self._resumes or self._watched or not is_first
+        goes_on = self._resumes or self._has_events or not is_first
         start = (Action.START, Action.RESTORE) if goes_on else (Action.START,)
         add(self._records, start, np.array([position]))
         add(self._records, (Action.STEPS,), stops, taken=taken[:, None])
@@ -347,8 +344,8 @@ class Steps:
 def _in_order(groups: list[tuple[Whole, Tape]]) -> Tape:
     """Rows of records in the order of their positions, then of the groups."""
     keys = [
-        np.repeat(positions * len(groups) + kind, records.shape[1])
-        for kind, (positions, records) in enumerate(groups)
+        np.repeat(positions * len(groups) + place, records.shape[1])
+        for place, (positions, records) in enumerate(groups)
     ]
     order = np.concatenate(keys).argsort(kind="stable")
     # as bytes, since NumPy copies records field by field

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.arrays import normalised, quat_to_dcm
-from fastatt.codegen.rows import kind_of, rows
+from fastatt.codegen.rows import precision_of, rows
 from fastatt.estimation.amounts import at_least_zero, common_number, covariances, interval
 from fastatt.tracing.formulas import Vector, kernels, scale, so3
 
@@ -51,8 +51,8 @@ def _to_body(c: Vector, p: Vector) -> Any:
 def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
     """Apply a formula to arrays (..., width), or numbers (), by name: (..., side, side)."""
     inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
-    kind = kind_of(np.result_type(*arrays.values()))
-    (found,) = rows(formula, inputs, (side * side,), kind)(*arrays.values())
+    precision = precision_of(np.result_type(*arrays.values()))
+    (found,) = rows(formula, inputs, (side * side,), precision)(*arrays.values())
     return found.reshape(*found.shape[:-1], side, side)
 
 

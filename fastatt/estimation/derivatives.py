@@ -259,7 +259,7 @@ def tangent_rows(
     The quaternions are not normalised before the step.
     """
     (t, h), (q, w) = times, state
-    q1, w1, phi, z = _body_rows(record, packed.structure.turning, parameters)(
+    q1, w1, phi, z = _body_rows(record, packed.structure.rotation, parameters)(
         t, h, q, w, np.atleast_2d(packed.params), tables=packed.tables,
         n_threads=number_of(n_threads),
     )  # fmt: skip
@@ -388,7 +388,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     of_rate = as_scene(scene).kind == "rate"
     named = "magnus4" if method is None else method
     record, packed = _of_rate(scene, named) if of_rate else of_body(scene, method)
-    structure, tables = packed.structure.turning, packed.tables
+    structure, tables = packed.structure.rotation, packed.tables
     # compiled once for all scenes that differ in their numbers only
     made = _step_function(record, structure, tables) if tables else _kept(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params

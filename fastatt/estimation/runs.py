@@ -14,8 +14,8 @@ from fastatt.estimation import tangent
 from fastatt.estimation.derivatives import of_body, tangent_rows
 from fastatt.methods import Method
 from fastatt.propagation.breakpoints import breaks_within
-from fastatt.propagation.options import clock_of
 from fastatt.propagation.propagate import propagate
+from fastatt.propagation.schedule import schedule_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene
 
@@ -92,7 +92,7 @@ class RunTangent:
 def _refuse_parts(scene: Scene, run: Trajectory) -> None:
     """Raise ``ValueError`` for a run across breakpoints, or whose steps corners divide."""
     first, last = sorted(run.t[[0, -1]].tolist())
-    clock, begin = clock_of(run.dt, len(run.t) - 1), float(run.t[0])
+    clock, begin = schedule_of(run.dt, len(run.t) - 1), float(run.t[0])
     legs = clock.legs(clock.h, breaks_within(scene, begin, clock.duration))
     if any(first <= x <= last for x in scene.breakpoints) or (legs["dt"] != clock.h).any():
         raise ValueError(

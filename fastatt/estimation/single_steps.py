@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from fastatt import checks
 from fastatt._jit import around_formulas, enough
-from fastatt.codegen.rows import kind_of
+from fastatt.codegen.rows import precision_of
 from fastatt.codegen.scalar import ScalarFunction, scalar_function
 from fastatt.engine.job import GivenScope, Job
 from fastatt.methods import METHODS, Method
@@ -95,7 +95,7 @@ class Stepper:
     leave: Any
     #: the parts of y with their sizes
     _carried: Mapping[str, int]
-    _kind: np.dtype[Any]
+    _dtype: np.dtype[Any]
 
     def __call__(self, t: float, h: float, x: Any) -> Any:
         """``step`` with ``params``, if all bodies share them."""
@@ -130,7 +130,7 @@ class Stepper:
         y = [self._flat(checks.array(name, value, f"({n},)")) for (name, n), value in given]
         attitude_0 = self._flat(checks.attitudes("q", q, "(4,)"))
         x = self.start(attitude_0, sum(y, ()), self._of(body))
-        return _floats(np.array(x, dtype=self._kind))
+        return _floats(np.array(x, dtype=self._dtype))
 
     def attitude(self, x: Any, *, body: int = 0) -> NDArray[Any]:
         """Unit quaternion of a state.
@@ -150,7 +150,7 @@ class Stepper:
         return np.array(self.read(x, self._of(body))[0])
 
     def _flat(self, value: NDArray[Any]) -> tuple[Any, ...]:
-        return _floats(value.astype(self._kind))
+        return _floats(value.astype(self._dtype))
 
     def _of(self, body: int) -> Any:
         if isinstance(self.params, tuple):
@@ -228,19 +228,19 @@ def single_step(
             "scene: found a sampled controller; accepted: a scene without, with the torque that "
             "your loop computes at sample times among its params"
         )
-    kind = checks.precision(dtype)
+    scalar = checks.precision(dtype)
     position = position or scene.needs_position
     packed = scene.packed(None, sorted_axes=record.sorted_axes, position=position)
     shared = packed.params.ndim == 1
-    job = Job(record, attitude, packed.structure, kind_of(kind), shared=shared)
+    job = Job(record, attitude, packed.structure, precision_of(scalar), shared=shared)
     # functions accept either precision; they contain the tables
-    key = replace(job, kind="double")
+    key = replace(job, precision="double")
     functions = _functions(key, packed.tables) if packed.tables else _kept(key)
     start, read = _ends(replace(key, method=METHODS["rk4"]))
     return Stepper(
         method=record.name, representation=attitude.name,
         params=_floats(packed.params) if shared else packed.params, start=start, read=read,
-        **functions, _carried=scene.carried(position=position), _kind=kind,
+        **functions, _carried=scene.carried(position=position), _dtype=scalar,
     )  # fmt: skip
 
 
@@ -254,40 +254,40 @@ class _Given(GivenScope):
 
     def made(self, values: Any) -> Vector:
         """Results in the precision of x, constants included."""
-        return tuple(number(self.graph, value, self.kind) for value in values)
+        return tuple(number(self.graph, value, self.precision) for value in values)
 
 
 class _Parts:
     """A job's formulas for ``scalar_function``: of a state x or y, parameters p, prepared e."""
 
     def __init__(self, job: Job) -> None:
-        self._formulas = job.formulas
+        self._job = job
 
     def begun(self, q: Vector, y: Vector, p: Vector) -> Vector:
         """x from an attitude and its auxiliary state."""
-        scope = _Given(self._formulas, q, p)
-        tail = self._formulas.job.structure.tail
+        scope = _Given(self._job, q, p)
+        tail = self._job.structure.tail
         if len(y) != tail:
             raise TypeError(f"y: found {len(y)} numbers; accepted: {tail}")
         return scope.made(scope.motion.begin(q, as_like(tuple(y), q[0])))
 
     def to_stepped(self, t: Any, h: Any, edge: Any, x: Vector, p: Vector) -> tuple[Vector, Vector]:
         """(y, e): the stepped variables, and what a run with step size h needs."""
-        size = self._formulas.size
+        size = self._job.size
         if len(x) != size:
             raise TypeError(f"x: found {len(x)} numbers; accepted: {size}")
-        scope = _Given(self._formulas, x, p)
-        e = scope.prepared(scope.span(h), x)
+        scope = _Given(self._job, x, p)
+        e = scope.prepare(scope.span(h), x)
         y = scope.entered(scope.at(t), scope.span(edge), x, e)
         return scope.made(y), scope.made(e)
 
     def small_angle(self, t: Any, spans: Vector, y: Vector, p: Vector, e: Vector, z: Any) -> Any:
         """(y, the larger of z and the squared angle) after a stage with an angle up to π."""
-        return self._stage(_Given(self._formulas, y, p, small_angle=True), t, spans, y, e, z)
+        return self._stage(_Given(self._job, y, p, small_angle=True), t, spans, y, e, z)
 
     def any_angle(self, t: Any, spans: Vector, y: Vector, p: Vector, e: Vector, z: Any) -> Any:
         """``small_angle`` for rotations of any angle."""
-        return self._stage(_Given(self._formulas, y, p), t, spans, y, e, z)
+        return self._stage(_Given(self._job, y, p), t, spans, y, e, z)
 
     def _stage(self, scope: _Given, t: Any, spans: Vector, y: Vector, e: Vector, z: Any) -> Any:
         h, k = map(scope.span, spans)
@@ -296,23 +296,23 @@ class _Parts:
 
     def to_state(self, t: Any, since: Any, edge: Any, y: Vector, p: Vector, e: Vector) -> Vector:
         """x from the stepped variables."""
-        scope = _Given(self._formulas, y, p)
+        scope = _Given(self._job, y, p)
         return scope.made(scope.left(scope.at(t), scope.span(since), scope.span(edge), y, e))
 
     def output(self, x: Vector, p: Vector) -> Vector:
         """The numbers that a trajectory holds."""
-        scope = _Given(self._formulas, x, p)
+        scope = _Given(self._job, x, p)
         return scope.made(scope.output(x)[0])
 
     def quaternion(self, y: Vector) -> Vector:
         """The attitude in ``output``, as a quaternion."""
-        attitude = self._formulas.job.attitude
+        attitude = self._job.attitude
         return tuple(attitude.quaternion(y[: attitude.size]))
 
 
 def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str, Any]:
     """The functions of a method's steps, each compiled when it is first called."""
-    parts, size = _Parts(job), job.formulas.size
+    parts, size = _Parts(job), job.size
     check_x, check_p = enough("x", size), enough("p", job.structure.n_params)
     stages = np.array(job.method.stages or _ONE_STAGE)
     # the stepped variables are this share of h ahead
@@ -393,7 +393,7 @@ def _kept(job: Job) -> dict[str, Any]:
 @lru_cache(maxsize=128)
 def _ends(job: Job) -> tuple[Any, Any]:
     """``start`` and ``read``, which do not depend on the method."""
-    parts, stored, size = _Parts(job), job.attitude.stored, job.formulas.size
+    parts, stored, size = _Parts(job), job.attitude.stored, job.size
     check_x, check_p = enough("x", size), enough("p", job.structure.n_params)
     arrays = {"p": job.structure.n_params}
     begun = scalar_function(parts.begun, arrays=arrays)

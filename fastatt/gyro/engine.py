@@ -82,7 +82,7 @@ def _through_windows(
     groups, n_tiles = (-(-n_logs // LANES), n_chunks) if by_log else (n_logs, n_tiles)
     threads = 1 if n_logs <= LANES else number_of(n_threads)
     size = n_tiles * max(1, min(-(-groups // threads), _PIECE // n_tiles))
-    run, seen = loop(windows.kind), []
+    run, seen = loop(windows.precision), []
 
     def task(first: int) -> None:
         last, largest = min(first + size, groups * n_tiles), np.zeros(1)

@@ -227,12 +227,12 @@ def integrate_tiles(shape, logs, part, tile, largest, first, last):
 
 
 @functools.cache
-def loop(kind: str) -> Callable[..., int]:
+def loop(precision: str) -> Callable[..., int]:
     """``integrate_tiles`` for a precision."""
-    real, n, number = TYPES[kind], types.int64, types.float64
+    real, n, number = TYPES[precision], types.int64, types.float64
 
-    def of(axes: int, kind: Any = real) -> Any:
-        return types.Array(kind, axes, "C")
+    def of(axes: int, ty: Any = real) -> Any:
+        return types.Array(ty, axes, "C")
 
     samples = types.Array(real, 3, "C", readonly=True)
     arguments = (

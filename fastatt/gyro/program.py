@@ -29,7 +29,7 @@ from fastatt.tracing.graph import Graph
 from fastatt.tracing.trace import traceable
 
 _ARRAYS = ("samples", "spans", "attitudes", "state")
-_KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
+_PRECISIONS = {dtype: precision for precision, dtype in DTYPES.items()}
 _CALL = "{name}(samples, spans, attitudes, state, {offsets})"
 _Formulas = dict[str, LaneFormula]
 
@@ -41,11 +41,11 @@ class GyroProgram(TwoForms):
     """
 
     def __init__(
-        self, window: Window, increments: bool, precision: np.dtype[Any], uneven: bool
+        self, window: Window, increments: bool, dtype: np.dtype[Any], uneven: bool
     ) -> None:
         self.window, self.increments, self.uneven = window, increments, uneven
-        self.precision, self.kind = precision, _KINDS[precision]
-        self._vector = processor().lanes(self.kind)
+        self.dtype, self.precision = dtype, _PRECISIONS[dtype]
+        self._vector = processor().lanes(self.precision)
         self._state = ITERATION
         self.shape = WindowShape(
             history=window.history,
@@ -62,21 +62,19 @@ class GyroProgram(TwoForms):
         shapes = (
             (CHUNK + MOST_HISTORY + 1, 3), (CHUNK + MOST_HISTORY,), (CHUNK + 1, 4), (self._state,)
         )  # fmt: skip
-        return Tile(
-            *(aligned(math.prod(x) * LANES, self.precision).reshape(*x, LANES) for x in shapes)
-        )
+        return Tile(*(aligned(math.prod(x) * LANES, self.dtype).reshape(*x, LANES) for x in shapes))
 
     def _compiled(self, *, small_angle: bool) -> MachineCode:
         graph = Graph()
-        p, q = (graph.inputs(self.kind, name, 4) for name in "pq")
-        placed = Flat(graph, products(p, q), self.kind)
+        p, q = (graph.inputs(self.precision, name, 4) for name in "pq")
+        placed = Flat(graph, products(p, q), self.precision)
         formulas = {
             "place": self._formula(placed, "attitudes", 0),
             **self._windows(small_angle),
         }
         text = "\n".join([*self._text(), ""])
-        shape = Shape(self.kind, LANES, self._vector)
-        lane_program = LaneProgram(text, formulas, shape, dict.fromkeys(_ARRAYS, self.kind))
+        shape = Shape(self.precision, LANES, self._vector)
+        lane_program = LaneProgram(text, formulas, shape, dict.fromkeys(_ARRAYS, self.precision))
         return lane_program.compiled()
 
     def _text(self) -> Iterator[str]:
@@ -122,28 +120,32 @@ class GyroProgram(TwoForms):
         vectors = traceable(self.window.formula(self.increments))(*self._given(graph))
         exp = traceable(quat.exp_short if small_angle else quat.exp)
         turned = [x for i in range(0, len(vectors), 3) for x in exp(vectors[i : i + 3])]
-        attitudes = products(graph.inputs(self.kind, "q", 4), turned)
-        return {"window": self._formula(Flat(graph, attitudes, self.kind), "attitudes", 4)}
+        attitudes = products(graph.inputs(self.precision, "q", 4), turned)
+        return {"window": self._formula(Flat(graph, attitudes, self.precision), "attitudes", 4)}
 
     def _iterated(self, iteration: Iteration) -> _Formulas:
         begin, again, end = Graph(), Graph(), Graph()
         state = iteration.begin(self.increments, *self._given(begin))
         size = len(state)
         self._state = ITERATION + size
-        after = iteration.again(again.inputs(self.kind, "state", size))
-        turns = iteration.read(end.inputs(self.kind, "state", size)[:-1])
-        read = products(end.inputs(self.kind, "q", 4), turns)
+        after = iteration.again(again.inputs(self.precision, "state", size))
+        turns = iteration.read(end.inputs(self.precision, "state", size)[:-1])
+        read = products(end.inputs(self.precision, "q", 4), turns)
         return {
-            "begin": self._formula(Flat(begin, state, self.kind), "state", ITERATION),
-            "improve": self._formula(Flat(again, after, self.kind), "state", ITERATION),
-            "read": self._formula(Flat(end, read, self.kind), "attitudes", 4),
+            "begin": self._formula(Flat(begin, state, self.precision), "state", ITERATION),
+            "improve": self._formula(Flat(again, after, self.precision), "state", ITERATION),
+            "read": self._formula(Flat(end, read, self.precision), "attitudes", 4),
         }
 
     def _given(self, graph: Graph) -> tuple[Any, Any]:
         """Samples and intervals of a window."""
-        v = graph.inputs(self.kind, "v", 3 * self.window.samples(self.increments))
+        v = graph.inputs(self.precision, "v", 3 * self.window.samples(self.increments))
         n = self.window.intervals
-        h = graph.inputs(self.kind, "h", n) if self.uneven else graph.inputs(self.kind, "h", 1) * n
+        h = (
+            graph.inputs(self.precision, "h", n)
+            if self.uneven
+            else graph.inputs(self.precision, "h", 1) * n
+        )
         return v, h
 
 

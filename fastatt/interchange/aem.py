@@ -272,7 +272,7 @@ def _segment(about: _Lines, data: _Lines, version: str) -> AemSegment:
         if row.size != layout.count or not is_unit or not np.isfinite(row).all():
             raise ValueError(
                 f"line {k}: found {line}; accepted: a time and {layout.count} numbers, "
-                f"{layout.kind}, the quaternion of length 1"
+                f"{layout.attitude_type}, the quaternion of length 1"
             )
         tags.append(tag)
         rows.append(row)
@@ -338,8 +338,8 @@ class _Layout:
             raise ValueError(f"metadata without {', '.join(missing)}")
         said = {} if version == "1.0" else dict(_FIXED)
         said |= {key: value.upper() for key, value in metadata.items()}
-        self.kind = checks.choice("ATTITUDE_TYPE", said["ATTITUDE_TYPE"], _TYPES[version])
-        self.count = _TYPES[version][self.kind]
+        self.attitude_type = checks.choice("ATTITUDE_TYPE", said["ATTITUDE_TYPE"], _TYPES[version])
+        self.count = _TYPES[version][self.attitude_type]
         order = checks.choice("QUATERNION_TYPE", said.get("QUATERNION_TYPE"), ("FIRST", "LAST"))
         direction = checks.choice("ATTITUDE_DIR", said.get("ATTITUDE_DIR"), ("A2B", "B2A"))
         self.order, self.direction = order, direction
@@ -353,8 +353,8 @@ class _Layout:
         if self.count == 7:
             if direction == "B2A" or "EULER_ROT_SEQ" in metadata:
                 raise ValueError(
-                    f"{self.kind} with ATTITUDE_DIR B2A or EULER_ROT_SEQ can be read in two ways; "
-                    "accepted: A2B without it, or QUATERNION"
+                    f"{self.attitude_type} with ATTITUDE_DIR B2A or EULER_ROT_SEQ can be read in "
+                    "two ways; accepted: A2B without it, or QUATERNION"
                 )
             key, frames = _RATES_ALONG[version], ("REF_FRAME_A", "REF_FRAME_B", a, b)
             along = checks.choice(key, said.get(key), frames)
@@ -426,16 +426,16 @@ def to_aem(
     """The message of one body of a run, as :meth:`fastatt.Trajectory.to_aem` writes it."""
     check_run(run)
     types = list(_TYPES[checks.choice("version", version, _TYPES)])
-    kind = checks.choice("attitude_type", attitude_type or types[-1], types)
+    written_type = checks.choice("attitude_type", attitude_type or types[-1], types)
     said = {
         **dict.fromkeys(("OBJECT_NAME", "OBJECT_ID"), "UNKNOWN"),
         "REF_FRAME_A": _one_line("frame", frame),
         "REF_FRAME_B": _one_line("body_frame", body_frame),
         "TIME_SYSTEM": "UTC",
-        "ATTITUDE_TYPE": kind,
+        "ATTITUDE_TYPE": written_type,
         **(_FIXED if version == "1.0" else {}),
     }
-    if kind == types[-1]:
+    if written_type == types[-1]:
         said[_RATES_ALONG[version]] = "REF_FRAME_B" if version == "1.0" else body_frame
     said |= _keywords("metadata", metadata or {}, _METADATA)
     a, b = said["REF_FRAME_A"].upper(), said["REF_FRAME_B"].upper()

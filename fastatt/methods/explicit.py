@@ -47,7 +47,7 @@ def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
             slopes.append(motion.field(instants[c], y))
         # coordinates may be nearer to their pole at a stage than at the start of the step
         most = largest(slopes) if motion.attitude.has_poles else slopes[0]
-        z = h * h * motion.turning(instants[tableau.c[0]], most, start if first_turn else y)
+        z = h * h * motion.speed_squared(instants[tableau.c[0]], most, start if first_turn else y)
         factor, sum_ = weighted(tableau.b, slopes)
         return motion.advanced(x, scale(h * factor, sum_)), z
 

@@ -39,7 +39,7 @@ def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     for weight, end in zip(_WEIGHTS, ends, strict=True):
         d = axpy(weight, minus(end, ends[0]), d)
     most = largest(slopes) if motion.attitude.has_poles else slopes[0]
-    return motion.advanced(x, d), h * h * motion.turning(motion.at(t), most, plus(start, d))
+    return motion.advanced(x, d), h * h * motion.speed_squared(motion.at(t), most, plus(start, d))
 
 
 def _state(motion: Any, t: Any, h: Any, n: int, start: Vector, first: Vector) -> Any:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 
 from fastatt import checks, rounding
 from fastatt.attitudes import ATTITUDES, COMPENSATED, QUATERNION, Attitude
-from fastatt.engine.events import Event
+from fastatt.engine.marks import Event
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.breakpoints import corners_of
-from fastatt.propagation.options import Choice, refuse_pairs
+from fastatt.propagation.schedule import refuse_pairs
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import Dependence
 
@@ -20,6 +21,21 @@ DEFAULTS = ("magnus6", "exact", "rk8", "rk4")
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")
 # steps between two projections of a compensated state
 _PROJECTED = 64
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How a scene is propagated: its method, representation, and projection.
+
+    The state is projected every ``projection`` steps (never if that is 0), and for output unless
+    ``raw``.
+    """
+
+    method: Method
+    attitude: Attitude
+    projection: int = 0
+    raw: bool = False
+    events: tuple[Event, ...] = ()
 
 
 def methods_for(
@@ -35,9 +51,9 @@ def methods_for(
 
 def fits(method: Method, scene: Scene, representation: str | None = None) -> bool:
     """Whether a method fits a scene in a representation."""
-    takes_kind = scene.kind in method.scenes or (scene.states > 0 and method.couples)
+    takes_scene = scene.kind in method.scenes or (scene.states > 0 and method.couples)
     return (
-        takes_kind
+        takes_scene
         and (representation is None or method.stores(representation))
         and (scene.kind != "torqued" or _takes(method, scene))
         and (method.couples or not scene.is_coupled)
@@ -46,10 +62,10 @@ def fits(method: Method, scene: Scene, representation: str | None = None) -> boo
 
 def _takes(method: Method, scene: Scene) -> bool:
     if method.is_exact:
-        from fastatt.closed_form import form_of
+        from fastatt.closed_form import solution_of
 
         with suppress(ValueError):
-            return bool(form_of(scene))
+            return bool(solution_of(scene))
         return False
     if method.takes is Dependence.RATE:
         return True
@@ -99,9 +115,9 @@ def method_of(
         raise _refused("method", method, able, reason)
     if not fits(record, scene, representation):
         if record.is_exact and scene.kind == "torqued":
-            from fastatt.closed_form import form_of
+            from fastatt.closed_form import solution_of
 
-            form_of(scene)  # raises, with the reason
+            solution_of(scene)  # raises, with the reason
         if fits(record, scene):
             raise _refused(f'method for representation "{representation}"', record.name, fitting())
         able = methods_for(scene, stepped=stepped)
@@ -182,8 +198,8 @@ def _projection(normalise: str | int) -> int:
     try:
         return checks.whole("normalise", normalise, 1)
     except (TypeError, ValueError) as error:
-        kind = ValueError if isinstance(normalise, str) else type(error)
-        raise kind(
+        error_class = ValueError if isinstance(normalise, str) else type(error)
+        raise error_class(
             f"normalise: found {checks.brief(normalise)}; accepted: output, never, or a whole "
             "number of steps from 1 on"
         ) from None

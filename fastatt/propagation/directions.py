@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks
 from fastatt.attitudes import DIRECTION
 from fastatt.methods import Method
-from fastatt.propagation.choice_of_method import method_of
-from fastatt.propagation.execute import execute
+from fastatt.propagation.choice_of_method import Choice, method_of
 from fastatt.propagation.initial import Initial
-from fastatt.propagation.options import Choice, RunOptions, clock_of
 from fastatt.propagation.plan import prepared
+from fastatt.propagation.schedule import schedule_of
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.threads import number_of
 
@@ -92,7 +91,7 @@ def propagate_directions(
         scene = scene[np.repeat(np.arange(len(v)), v.shape[1])]
     start = Initial.of(v.reshape(-1, 3), {}, checks.precision(dtype, v0))
     t0 = checks.real("t0", t0)
-    clock = clock_of(dt, n_steps, None, save_every, t0=t0)
-    plan = prepared(scene, start.bodies, Choice(record, DIRECTION), clock, start.q.dtype)
-    flat = execute(plan, start, t0, RunOptions(number_of(n_threads)))
+    schedule = schedule_of(dt, n_steps, None, save_every, t0=t0)
+    plan = prepared(scene, start.bodies, Choice(record, DIRECTION), schedule, start.q.dtype)
+    flat = plan.run(start, t0, n_threads=number_of(n_threads))
     return flat.t, flat.state.reshape((flat.t.size, *v.shape))

@@ -10,20 +10,24 @@ import io
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
+from fastatt.engine.run import Run
+from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
-if TYPE_CHECKING:
-    from fastatt.propagation.plan import Plan
-
-_FORMAT = 10
+_FORMAT = 11
+# s between two checkpoints
+_WRITTEN = 10.0
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 #: the rest of a message about a trajectory without its end
@@ -39,8 +43,8 @@ class End:
     """The last state of a run as the engine carries it, its initial values, and its options."""
 
     #: arguments of the run by name; ``done`` steps, hashes of the operations of a step
-    #: (``equations``) and of the events (``watched``), and whether it is ``one_body``'s
-    about: dict[str, Any]
+    #: (``equations``) and of the events (``events``), and whether it is ``one_body``'s
+    options: dict[str, Any]
     #: initial attitudes ``q``, and the other initial values ``y``; ``states``, and ``params``; of a
     #: run with events also what it keeps of them
     arrays: dict[str, NDArray[Any]]
@@ -48,11 +52,26 @@ class End:
     @property
     def start(self) -> Initial:
         """The initial values."""
-        return Initial(self.arrays["q"], self.arrays["y"], self.about["one_body"])
+        return Initial(self.arrays["q"], self.arrays["y"], self.options["one_body"])
+
+    def check(self, equations: str, params: NDArray[np.float64], events: str) -> None:
+        """Refuse to resume with another scene, or with other events where bodies have stopped."""
+        is_same = self.options["equations"] == equations
+        if not (is_same and np.array_equal(self.arrays["params"], params)):
+            raise ValueError(
+                "scene: differs from that of the run that is resumed, or a method of one's own "
+                "does; accepted: the same"
+            )
+        stopped = self.arrays.get("stopped", np.nan)
+        if self.options["events"] != events and not np.isnan(stopped).all():
+            raise ValueError(
+                "events: found others than those of the run that is resumed; accepted: the same, "
+                "since bodies stop at terminal ones"
+            )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the end to a file, completely or not at all."""
-        header = np.array(json.dumps({"format": _FORMAT, **self.about}))
+        header = np.array(json.dumps({"format": _FORMAT, **self.options}))
         arrays: dict[str, Any] = {"header": header, **self.arrays}
         whole = io.BytesIO()  # the archive needs a place in the file, which devices have not
         np.savez(whole, **arrays)
@@ -68,10 +87,10 @@ def loaded(path: str | os.PathLike[str]) -> End:
     source = target("run", path)
     try:
         with source.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            about = json.loads(str(file["header"]))
-            if about.pop("format") != _FORMAT:
+            options = json.loads(str(file["header"]))
+            if options.pop("format") != _FORMAT:
                 raise KeyError("format")
-            return End(about, {name: file[name] for name in file if name != "header"})
+            return End(options, {name: file[name] for name in file if name != "header"})
     except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
         raise ValueError(
             f"run: {str(path)!r} is not the end of a run; accepted: a file that "
@@ -94,17 +113,19 @@ def end_of(run: Any) -> End:
     raise TypeError(f"run: found {checks.brief(run)}; accepted: a trajectory or a file's path")
 
 
-def check(end: End, plan: Plan) -> None:
-    """Refuse to resume with another scene, or with other events where bodies have stopped."""
-    is_same = end.about["equations"] == plan.equations
-    if not (is_same and np.array_equal(end.arrays["params"], plan.packed.params)):
-        raise ValueError(
-            "scene: differs from that of the run that is resumed, or a method of one's own does; "
-            "accepted: the same"
-        )
-    stopped = end.arrays.get("stopped", np.nan)
-    if end.about["watched"] != plan.watched and not np.isnan(stopped).all():
-        raise ValueError(
-            "events: found others than those of the run that is resumed; accepted: the same, since "
-            "bodies stop at terminal ones"
-        )
+class Checkpoints:
+    """Writes a file with the state of a run, after some seconds and at the end.
+
+    ``end`` makes it of a run after whole steps. The last one is written only if it is ``whole``.
+    """
+
+    def __init__(self, path: Path, end: Callable[[Run, int], End], *, whole: bool) -> None:
+        self._path, self._end, self._whole, self._written = path, end, whole, perf_counter()
+
+    def take(self, run: Run, piece: Piece) -> None:
+        """Write the file after a piece, if it is due."""
+        is_last = piece.position == run.steps.length
+        is_due = self._whole if is_last else perf_counter() - self._written > _WRITTEN
+        if is_due and piece.whole >= 0:
+            self._end(run, piece.whole).save(self._path)
+            self._written = perf_counter()

@@ -106,13 +106,13 @@ def potential_energy(
     q = np.asarray(q)
     attitudes = np.reshape(q, (-1, *((1, *q.shape)[-2:])))
     packed = scene.packed(attitudes.shape[1] if q.ndim > 1 else 1)
-    turning = packed.structure.turning
+    rotation = packed.structure.rotation
     shape = (*attitudes.shape[:-1], 3)
     positions = np.zeros(shape) if r is None else np.reshape(r, shape)
     times = np.broadcast_to(np.asarray(t, np.float64), attitudes.shape[:1])
-    p = packed.params[..., : turning.n_params]
-    inputs = {"t": None, "q": 4, "r": 3, "p": turning.n_params}
-    potential = rows(partial(_potential, turning), inputs, (None,), key=(_potential, turning))
+    p = packed.params[..., : rotation.n_params]
+    inputs = {"t": None, "q": 4, "r": 3, "p": rotation.n_params}
+    potential = rows(partial(_potential, rotation), inputs, (None,), key=(_potential, rotation))
     (energies,) = potential(times[:, None], attitudes, positions, p, tables=packed.tables)
     return np.asarray(energies).reshape(q.shape[:-1])
 

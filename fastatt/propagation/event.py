@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from fastatt import checks
-from fastatt.engine.events import Event
+from fastatt.engine.marks import Event
 from fastatt.scene.models import parameters
 from fastatt.scene.scene import Scene
 from fastatt.tracing.user import FORMS, UserFunction

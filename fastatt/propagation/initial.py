@@ -31,26 +31,26 @@ class Initial(NamedTuple):
         return max(len(self.q), len(self.y))
 
     @classmethod
-    def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], kind: Any) -> Initial:
+    def of(cls, start: NDArray[Any], carried: Mapping[str, NDArray[Any]], dtype: Any) -> Initial:
         """Initial states from attitudes (4,) or (N, 4) and vectors (k,) or (N, k)."""
         values = list(carried.values())
         one_body = start.ndim == 1 and all(value.ndim == 1 for value in values)
         if len(values) == 1:
-            return cls(_rows(start, kind), _rows(values[0], kind), one_body)
+            return cls(_rows(start, dtype), _rows(values[0], dtype), one_body)
         rows = max((1 if value.ndim == 1 else len(value) for value in values), default=1)
         columns = [column for value in values for column in value.T]
-        y = np.empty((rows, len(columns)), dtype=kind)
+        y = np.empty((rows, len(columns)), dtype=dtype)
         with np.errstate(over="ignore"):
             for i, column in enumerate(columns):  # ten times as fast as row by row
                 y[:, i] = column
-        return cls(_rows(start, kind), y, one_body)
+        return cls(_rows(start, dtype), y, one_body)
 
 
-def _rows(values: NDArray[Any], kind: Any) -> NDArray[Any]:
+def _rows(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
     """Contiguous rows (N, k) of a precision, one of a vector (k,)."""
-    if values.dtype != kind:
+    if values.dtype != dtype:
         with np.errstate(over="ignore"):
-            values = values.astype(kind)
+            values = values.astype(dtype)
     return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from fastatt import checks
-from fastatt.codegen.rows import kind_of
-from fastatt.engine.job import WIDTH, Job
+from fastatt.codegen.rows import precision_of
+from fastatt.engine.job import Job
+from fastatt.engine.program import WIDTH
 from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.scene.scene import Scene, as_scene
@@ -68,17 +69,16 @@ def inspect_step(
     """
     as_scene(scene)
     job = job_of(scene, method, representation, checks.precision(dtype))
-    formulas = job.formulas
-    flat = formulas.small_angle
+    flat = job.small_angle
     text = source.GraphText(flat)
-    constants = source.GraphText(formulas.constants)
-    groups = dict.fromkeys(name[0] for f in (formulas.constants, flat) for name in f.inputs())
+    constants = source.GraphText(job.constants)
+    groups = dict.fromkeys(name[0] for f in (job.constants, flat) for name in f.inputs())
     stages = len(job.method.stages)
     each = f" in {stages} stages" if stages > 1 else ""
-    counted = f"{formulas.operations} floating-point operations a step{each}"
+    counted = f"{job.operations} floating-point operations a step{each}"
     once = [*constants.lines, *(f"c{i} = {x}" for i, x in enumerate(constants.results))]
     lines = [
-        f"# {job.method.name}, {scene.kind}, {job.attitude.name}, {job.kind}: {counted}",
+        f"# {job.method.name}, {scene.kind}, {job.attitude.name}, {job.precision}: {counted}",
         *(f"# {name}: {_LEGEND[name]}" for name in (*groups, "angle2") if name in _LEGEND),
         *(f"for lane in range({WIDTH}):" for _ in once[:1]),
         *(f"    {line}" for line in once),
@@ -93,9 +93,9 @@ def inspect_step(
     return "\n".join(lines) + "\n"
 
 
-def job_of(scene: Scene, method: Any, representation: Any, kind: Any) -> Job:
+def job_of(scene: Scene, method: Any, representation: Any, dtype: Any) -> Job:
     """The job of a scene, without its bodies."""
     record = method_of(scene, method, representation, stepped=True)
     packed = scene.packed(None, sorted_axes=record.sorted_axes)
     attitude, shared = attitude_of(representation), packed.params.ndim == 1
-    return Job(record, attitude, packed.structure, kind_of(kind), shared=shared)
+    return Job(record, attitude, packed.structure, precision_of(dtype), shared=shared)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
 from fastatt.attitudes import QUATERNION
-from fastatt.codegen.rows import kind_of, rows
+from fastatt.codegen.rows import precision_of, rows
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.tracing.formulas import dot, minus, plus, quat, scale, so3
 
@@ -261,8 +261,10 @@ def _between(
     """
     attitudes = checks.attitudes("q", q, f"({t.size}, 4) or ({t.size}, N, 4)", flag=lost)
     rates = checks.array("w", w, str((*attitudes.shape[:-1], 3)), flag=lost)
-    kind, many = np.result_type(attitudes, rates), min(_NODES, t.size)
-    q, w = (x.reshape(t.size, -1, x.shape[-1]).astype(kind, copy=False) for x in (attitudes, rates))
+    dtype, many = np.result_type(attitudes, rates), min(_NODES, t.size)
+    q, w = (
+        x.reshape(t.size, -1, x.shape[-1]).astype(dtype, copy=False) for x in (attitudes, rates)
+    )
     bodies = q.shape[1]
     nodes, places, exist = _around(t, times, many)
     last = np.where(exist, nodes, 0).max(axis=1, keepdims=True)
@@ -273,11 +275,11 @@ def _between(
     s = (times[:, None] - start) / span
     others = np.where(exist, shares, 0.0)[:, 2:]
     weights = _weights(shares[:, :2], s), _weights(shares, s)
-    clock = np.concatenate([s, span, others, *weights], axis=1).astype(kind)
+    clock = np.concatenate([s, span, others, *weights], axis=1).astype(dtype)
     sizes = {f"{group}{k}": n for group, n in (("q", 4), ("w", 3)) for k in range(many)}
-    formula = rows(_through, {"clock": clock.shape[1], **sizes}, (4, 3, None), kind_of(kind))
-    q_out = np.empty((times.size, bodies, 4), kind)
-    w_out = np.empty((times.size, bodies, 3), kind)
+    formula = rows(_through, {"clock": clock.shape[1], **sizes}, (4, 3, None), precision_of(dtype))
+    q_out = np.empty((times.size, bodies, 4), dtype)
+    w_out = np.empty((times.size, bodies, 3), dtype)
     doubt = np.zeros(bodies)
     step = max(1, _ROWS // bodies)
     for a in range(0, times.size, step):

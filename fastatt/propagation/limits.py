@@ -2,32 +2,112 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from fastatt import rounding
+from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.engine.status import Status, count_flags
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
+from fastatt.propagation.initial import Initial
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import fastest_decay
 
-if TYPE_CHECKING:
-    from fastatt.propagation.initial import Initial
-    from fastatt.propagation.plan import Plan
 
+@dataclass(frozen=True, eq=False)
+class StepLimits:
+    """The largest and the smallest steps for which the method of a run is trustworthy."""
 
-def turn_limit(
-    scene: Scene, method: Method, attitude: Attitude, dtype: DTypeLike = np.float64
-) -> float:
-    """The largest ``|w| h`` of a step, rad; where one exponential is exact, that of rounding."""
-    if scene.is_constant and method.exact_for_constant:
-        return rounding.most_turned(dtype)
-    kind = scene.kind
-    return method.limit(attitude.family, body=kind != "rate", torqued=kind == "torqued")
+    scene: Scene
+    method: Method
+    attitude: Attitude
+    dtype: np.dtype[Any]
+    #: the step size, s, of all bodies or of each
+    dt: NDArray[np.float64]
+
+    @cached_property
+    def turn(self) -> float:
+        """The largest ``|w| h`` of a step, rad; where one exponential is exact, by rounding."""
+        scene, method, kind = self.scene, self.method, self.scene.kind
+        if scene.is_constant and method.exact_for_constant:
+            return rounding.most_turned(self.dtype)
+        return method.limit(self.attitude.family, body=kind != "rate", torqued=kind == "torqued")
+
+    @cached_property
+    def damped(self) -> NDArray[np.float64]:
+        """The largest c h/I of a scene's damping, for each body or for all."""
+        if self.scene.kind != "torqued":
+            return np.zeros(1)
+        with np.errstate(over="ignore"):
+            fastest = fastest_decay(self.scene.torque, self.scene.principal.moments)
+            return np.atleast_1d(fastest * abs(self.dt))
+
+    @cached_property
+    def too_damped(self) -> NDArray[np.bool_]:
+        """Where damping is beyond the method's limit."""
+        return np.asarray(self.damped > self.method.damping_limit)
+
+    @cached_property
+    def usual(self) -> tuple[float, float]:
+        """Between which largest angles of a step, rad, there is nothing to warn of."""
+        if self.too_damped.any():
+            return math.inf, 0.0
+        least = 0.0 if self.attitude.compensated else float(np.finfo(self.dtype).eps)
+        return least, min(self.turn, rounding.most_half_right(self.dtype))
+
+    def warn(self, start: Initial, angles: Any = None, status: Any = None) -> bool:
+        """Warn, once, of steps that are too large or too small.
+
+        Of each body's first step before the run; after it of the largest angles, rad, or of the
+        first steps where these are the reason. The angles from which no number is left are not
+        known.
+        """
+        least, most = self.usual
+        if angles is not None and least <= angles.max() <= most and not status.any():
+            return False
+        text = "" if angles is None else self._advice(angles)
+        if angles is None or text or (status & Status.NON_FINITE).any():
+            first = np.zeros(1)
+            if self.scene.kind != "rate":
+                first = first_step(self.scene, self.method, start.y[:, :3], self.dt)
+            text = self._advice(first) or text
+        if text:
+            rounding.warn(text)
+        return bool(text)
+
+    def _advice(self, angles: NDArray[Any]) -> str:
+        """The warning of steps that are too large or too small, from rotation angles, or ""."""
+        limit, damped, method, h = self.turn, self.damped, self.method, self.dt
+        seen = np.where(angles < np.inf, angles, 0.0)
+        most = float(seen.max(initial=0.0))
+        eps = float(np.finfo(self.dtype).eps)
+        if most > limit:
+            measure = "" if method.measure == "angle" else f" by the measure {method.measure!r}"
+            return (
+                f"dt: a step of body {seen.argmax()} is {most:.3g} rad{measure}, {method.name}'s "
+                f"limit is {limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past "
+                f"it): take |dt| <= {_step_of(h, seen) * limit / most:.3g}"
+            )
+        if self.too_damped.any():
+            worst = float(damped.max())
+            return (
+                f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy "
+                f"up to {method.damping_limit:.3g}: take |dt| <= "
+                f"{_step_of(h, damped) * method.damping_limit / worst:.3g}"
+            )
+        if 0.0 < most < eps and not self.attitude.compensated:
+            return (
+                f"dt: no step is more than {most:.3g} rad, which {self.dtype} does not register: "
+                f"take |dt| >= {_step_of(h, seen) * 1e3 * eps / most:.3g}, or compensated=True"
+            )
+        rounded = rounding.of_angles(np.array([most]), self.dtype)
+        return f"dt: found steps of {rounded}" if rounded else ""
 
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
@@ -53,64 +133,6 @@ def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray
 def _lengths(v: NDArray[Any]) -> NDArray[np.float64]:
     """Lengths of rows (N, 3), whose squares may overflow."""
     return np.asarray(np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2]))
-
-
-def decay(scene: Scene, h: Any) -> NDArray[np.float64]:
-    """The largest c h/I of a scene's damping, for each body or for all."""
-    if scene.kind != "torqued":
-        return np.zeros(1)
-    with np.errstate(over="ignore"):
-        return np.atleast_1d(fastest_decay(scene.torque, scene.principal.moments) * abs(h))
-
-
-def warn(plan: Plan, start: Initial, angles: Any = None, status: Any = None) -> bool:
-    """Warn, once, of steps that are too large or too small.
-
-    Of each body's first step before the run; after it of the largest angles, rad, or of the first
-    steps where these are the reason. The angles from which no number is left are not known.
-    """
-    least, most = plan.usual_angles
-    if angles is not None and least <= angles.max() <= most and not status.any():
-        return False
-    text = "" if angles is None else _advice(plan, angles)
-    if angles is None or text or (status & Status.NON_FINITE).any():
-        first, scene = np.zeros(1), plan.scene
-        if scene.kind != "rate":
-            first = first_step(scene, plan.choice.method, start.y[:, :3], plan.clock.dt)
-        text = _advice(plan, first) or text
-    if text:
-        rounding.warn(text)
-    return bool(text)
-
-
-def _advice(plan: Plan, angles: NDArray[Any]) -> str:
-    """The warning of steps that are too large or too small, from rotation angles, rad; or ""."""
-    limit, damped, kind = plan.limit, plan.damped, plan.kind
-    method, h = plan.choice.method, plan.clock.dt
-    seen = np.where(angles < np.inf, angles, 0.0)
-    most = float(seen.max(initial=0.0))
-    eps = float(np.finfo(kind).eps)
-    if most > limit:
-        measure = "" if method.measure == "angle" else f" by the measure {method.measure!r}"
-        return (
-            f"dt: a step of body {seen.argmax()} is {most:.3g} rad{measure}, {method.name}'s limit "
-            f"is {limit:.3g} ({int((seen > limit).sum())} of {seen.size} bodies are past it): take "
-            f"|dt| <= {_step_of(h, seen) * limit / most:.3g}"
-        )
-    if (damped > method.damping_limit).any():
-        worst = float(damped.max())
-        return (
-            f"dt: damping takes {worst:.3g} of the rate a step; {method.name} is trustworthy up "
-            f"to {method.damping_limit:.3g}: take |dt| <= "
-            f"{_step_of(h, damped) * method.damping_limit / worst:.3g}"
-        )
-    if 0.0 < most < eps and not plan.attitude.compensated:
-        return (
-            f"dt: no step is more than {most:.3g} rad, which {kind} does not register: "
-            f"take |dt| >= {_step_of(h, seen) * 1e3 * eps / most:.3g}, or compensated=True"
-        )
-    rounded = rounding.of_angles(np.array([most]), kind)
-    return f"dt: found steps of {rounded}" if rounded else ""
 
 
 def _step_of(h: Any, measured: NDArray[Any]) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import accumulate, pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,24 +17,30 @@ from fastatt import checks, rounding
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
-from fastatt.codegen.rows import kind_of
+from fastatt.codegen.rows import precision_of
 from fastatt.engine.job import Job
-from fastatt.engine.pool import CALLING_LENGTH
-from fastatt.engine.program import program, width_for
+from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
-from fastatt.engine.search import WatchedRun
-from fastatt.engine.status import DIAGNOSTICS, Status
-from fastatt.engine.tape import BLOCK, UNBROKEN, Saves, Steps
-from fastatt.propagation import limits
+from fastatt.engine.run_with_events import RunWithEvents
+from fastatt.engine.status import Status, bounds
+from fastatt.engine.tape import BLOCK, CALLING_LENGTH, UNBROKEN, Piece, Steps
+from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of
-from fastatt.propagation.end import End
-from fastatt.propagation.execute import execute
+from fastatt.propagation.choice_of_method import Choice
+from fastatt.propagation.end import MOST, Checkpoints, End
 from fastatt.propagation.initial import Initial, initial
-from fastatt.propagation.options import Choice, Clock, RunOptions
+from fastatt.propagation.limits import StepLimits
+from fastatt.propagation.output import History, InterruptedRun, Output, check_room
+from fastatt.propagation.schedule import Schedule
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
+from fastatt.threads import progress_bar
 
+#: bodies of an ensemble that are run at a time, so that working memory is a small share
+PART = 1 << 19
+# body-steps; before a longer run the first step of each body is checked
+_LONG = 1_000_000
 # for how many step sizes and starts the steps are kept
 _KEPT = 16
 # bodies from which on searching for parameters that all of them share saves time
@@ -65,21 +72,19 @@ class Plan:
     scene: Scene
     n_bodies: int
     choice: Choice
-    clock: Clock
+    schedule: Schedule
     #: precision of the state
-    kind: np.dtype[Any]
+    dtype: np.dtype[Any]
     #: structure and parameters of the scene and of the functions of events
     packed: Packed
     #: what is saved next to the attitude, with the sizes
     carried: Mapping[str, int]
-    #: the largest rotation angle of a step for which the method is trustworthy, rad
-    limit: float
-    #: the largest share of the rate that damping takes in a step, of each body or of all
-    damped: NDArray[np.float64]
-    job: Job
-    #: the ``Program`` of a method that takes steps, None of a closed form
-    program: Any
+    limits: StepLimits
+    #: of a method that takes steps, None of a closed form
+    program: Program | None
     n_threads: int = 1
+    #: the time, s, at which a call begins that gives none, and whether it may give one
+    t0: float = 0.0
     has_fixed_t0: bool = False
     #: makes the plan again after pickling
     remake: Callable[[], Plan] | None = None
@@ -137,13 +142,11 @@ class Plan:
         ValueError, TypeError
             If an argument does not fit, as in :func:`fastatt.propagate`.
         """
-        t0 = self.clock.t0 if t0 is None else checks.real("t0", t0)
-        if self.has_fixed_t0 and t0 != self.clock.t0:
-            raise ValueError(
-                f"t0: found {t0} in a plan with t_end or save_at; accepted: {self.clock.t0}"
-            )
+        t0 = self.t0 if t0 is None else checks.real("t0", t0)
+        if self.has_fixed_t0 and t0 != self.t0:
+            raise ValueError(f"t0: found {t0} in a plan with t_end or save_at; accepted: {self.t0}")
         attitudes, carried = initial(self.scene, (q0, w0, v0, r0, s0))
-        start = Initial.of(attitudes, carried, self.kind)
+        start = Initial.of(attitudes, carried, self.dtype)
         if start.bodies not in (1, self.n_bodies):
             raise ValueError(
                 f"q0: found {start.bodies} bodies; accepted: {self.n_bodies}, as many as the plan "
@@ -154,7 +157,7 @@ class Plan:
         if ("r0" in carried) != ("r" in self.carried):
             raise ValueError("r0: accepted, and needed, in a plan that was made with position=True")
         plan = self if params is None else self._with(params)
-        return execute(plan, start, t0, RunOptions(self.n_threads))
+        return plan.run(start, t0, n_threads=self.n_threads)
 
     def _with(self, params: Any) -> Plan:
         """The plan with other parameters of the user-defined function."""
@@ -168,41 +171,122 @@ class Plan:
 
     @cached_property
     def setup(self) -> Setup:
-        """What all runs share: parameters, flags and bounds."""
-        method = self.choice.method
+        """The program with the numbers of its bodies, their first flags, and bounds."""
+        assert self.program is not None
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
         # parameters beyond the precision's range, and damping beyond the method's limit
-        lost = (np.abs(params) > np.finfo(self.kind).max).any(axis=-1)
-        fast = self.damped > method.damping_limit
-        flags = lost * np.uint8(Status.NON_FINITE) | fast * np.uint8(Status.STEP_TOO_LARGE)
-        limits = [x.bound(self) for x in DIAGNOSTICS]
+        lost = (np.abs(params) > np.finfo(self.dtype).max).any(axis=-1)
+        flags = lost * np.uint8(Status.NON_FINITE)
+        flags = flags | self.limits.too_damped * np.uint8(Status.STEP_TOO_LARGE)
+        limits = bounds(self.limits.turn, self.attitude, self.dtype)
         flags = np.ascontiguousarray(flags, dtype=np.uint8)
         return Setup(self.program, self.packed, limits, params, flags)
 
-    @cached_property
-    def usual_angles(self) -> tuple[float, float]:
-        """Between which largest angles of a step, rad, there is nothing to warn of."""
-        eps = float(np.finfo(self.kind).eps)
-        if (self.damped > self.choice.method.damping_limit).any():
-            return math.inf, 0.0
-        most = min(self.limit, rounding.most_half_right(self.kind))
-        return 0.0 if self.attitude.compensated else eps, most
+    def run(
+        self, start: Initial, t0: float, *, n_threads: int = 1, progress: bool = False,
+        on_save: Callable[[Trajectory], object] | None = None, file: Path | None = None,
+        checkpoint: Path | None = None, resumed: End | None = None, keeps_end: bool = False,
+    ) -> Trajectory:  # fmt: skip
+        """Run from initial values that were checked.
 
-    def steps(self, h: float, t0: float, resumed: End | None, *, ring: bool) -> Steps:
-        """The steps of bodies with the step size h; saves go to a ``ring`` of slots."""
-        is_plain, key = resumed is None and not ring, (h, t0 if self.job.windowed else 0.0)
+        Saves are held in memory, or go to the function ``on_save`` and to a ``file``. The run goes
+        on from the end of the one that is ``resumed``. If it ``keeps_end``, the trajectory holds
+        its end, if that is small.
+
+        Raises ``MemoryError`` if the saves do not fit, ``InterruptedRun`` on Ctrl-C.
+        """
+        schedule, shape = self.schedule, (self.schedule.saves, self.n_bodies, self.width)
+        if on_save is None and file is None:
+            check_room(shape, self.dtype)
+        times = self._times(t0)
+        history = None if file is None else History(file, shape, self.dtype)
+        arrays = partial(Results.empty, shape[1:], self.dtype, len(self.choice.events))
+        made = partial(self._trajectory, one_body=start.one_body)
+        output, end = Output(schedule, times, arrays, made, (on_save, history)), None
+        with progress_bar(progress, *output.length) as output.done:
+            if self.program is None:
+                self._evaluate(start, output, n_threads)
+            else:
+                write, takers = partial(self._end, start, t0), [output.take]
+                ends_on_step = schedule.t_end is None and not schedule.is_per_body
+                if checkpoint is not None:
+                    takers.append(Checkpoints(checkpoint, write, whole=ends_on_step).take)
+                run = self._step(start, t0, output, takers, n_threads, resumed)
+                if keeps_end and ends_on_step and self.n_bodies <= min(MOST, PART):
+                    end = write(run, schedule.end)
+        limits.warn_of_status(output.results.status)
+        return output.trajectory(end)
+
+    def _evaluate(self, start: Initial, output: Output, n_threads: int) -> None:
+        """Evaluate the closed form at the saves, a batch after the other."""
+        for first, end in output.batches:
+            results = output.results._replace(saves=output.results.saves[: end - first])
+            since = self.schedule.at[0][first:end]
+            closed_run.evaluate(self.scene, self.attitude, start, since, n_threads, results)
+            output.hand_out(first, end)
+
+    def _step(
+        self, start: Initial, t0: float, output: Output,
+        takers: Sequence[Callable[[Run, Piece], None]], n_threads: int, resumed: End | None,
+    ) -> Run:  # fmt: skip
+        """Take all steps, in pieces; returns the last run.
+
+        Bodies of each step size are run together, and a large ensemble in groups, one after the
+        other.
+        """
+        n, results, is_ring = self.n_bodies, output.results, output.is_ring
+        squares = np.zeros(n, self.dtype)
+        warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
+        is_one = is_ring or len(takers) > 1 or resumed is not None
+        groups = self.schedule.groups(n, n if is_one else PART)
+        for rows, h in groups:
+            group, saved = results.of_bodies(rows), 0
+            try:
+                run = (RunWithEvents if self.choice.events else Run)(
+                    self.setup, self._steps(h, t0, resumed, is_ring=is_ring), (start.q, start.y),
+                    rows, group, t0, n_threads, self._kept(resumed),
+                )  # fmt: skip
+                for piece in run.pieces(output.stops):
+                    run.advance(piece)
+                    for take in takers:
+                        take(run, piece)
+                    saved = piece.saved
+            except KeyboardInterrupt:
+                group.leave(first=saved)
+                results.put(rows, group)
+                for others, _ in groups:
+                    results.leave(others)
+                raise InterruptedRun(output.so_far()) from None
+            squares[rows] = run.squares
+            results.put(rows, group)
+        if self.schedule.n_steps and not warned:
+            self.limits.warn(start, np.sqrt(squares), results.status)
+        return run
+
+    def _kept(self, resumed: End | None) -> Mapping[str, Any] | None:
+        """What a run goes on from: the states, and what is known of the same events."""
+        if resumed is None or self._is_same(resumed):
+            return None if resumed is None else resumed.arrays
+        return {"states": resumed.arrays["states"]}
+
+    def _is_same(self, resumed: End) -> bool:
+        """Whether the run that is resumed had the same events."""
+        return bool(resumed.options["events"] == self.events_key)
+
+    def _steps(self, h: float, t0: float, resumed: End | None, *, is_ring: bool) -> Steps:
+        """The steps of bodies with the step size h; saves go to a ring of slots."""
+        assert self.program is not None
+        schedule, job, breaks = self.schedule, self.program.job, UNBROKEN
+        is_plain, key = resumed is None and not is_ring, (h, t0 if job.windowed else 0.0)
         if is_plain and (known := self.kept_steps.get(key)):
             return known
-        clock, formulas, breaks = self.clock, self.program.formulas, UNBROKEN
-        if self.job.windowed:
-            breaks = breaks_within(self.scene, t0, clock.duration)
+        if job.windowed:
+            breaks = breaks_within(self.scene, t0, schedule.duration)
         steps = Steps(
-            clock.legs(h, breaks), Saves(clock.since, clock.slack),
-            slots=clock.slots if ring else None,
-            every=self.choice.projection, block=CALLING_LENGTH if formulas.calls else BLOCK,
-            regrids=formulas.regrids, resumes=resumed is not None, done=clock.done,
-            watched=bool(self.job.events),
-            new=resumed is None or resumed.about["watched"] != self.watched,
+            schedule.legs(h, breaks), schedule.at, slots=schedule.slots if is_ring else None,
+            every=self.choice.projection, block=CALLING_LENGTH if job.calls else BLOCK,
+            regrids=job.regrids, resumes=resumed is not None, done=schedule.done,
+            has_events=bool(self.choice.events), new=resumed is None or not self._is_same(resumed),
         )  # fmt: skip
         if is_plain:
             while len(self.kept_steps) >= _KEPT:
@@ -210,31 +294,15 @@ class Plan:
             self.kept_steps[key] = steps
         return steps
 
-    def started(
-        self, start: Initial, t0: float, results: Results, rows: Any, steps: Steps,
-        resumed: End | None,
-    ) -> Run:  # fmt: skip
-        """A run of some bodies, whose results go to the given arrays of theirs.
-
-        It continues from the end of the run that is ``resumed``.
-        """
-        kind = WatchedRun if self.job.events else Run
-        run = kind(self.setup, steps, (start.q, start.y), rows, results, t0)
-        run.begin()
-        if resumed is not None:
-            is_same = resumed.about["watched"] == self.watched
-            run.resume(resumed.arrays, same_events=is_same)
-        return run
-
-    def times(self, t0: float) -> NDArray[np.float64]:
+    def _times(self, t0: float) -> NDArray[np.float64]:
         """Times of the saves, s. Warns if rounding of the time is not small compared with a step.
 
         Raises ``ValueError`` if a time overflows.
         """
-        clock, times = self.clock, self.clock.times(t0)
-        if self.program and (self.job.windowed or self.program.formulas.is_timed):
-            longest = max(abs(t0), abs(t0 + clock.duration))
-            if text := rounding.of_times(longest, clock.h):
+        schedule, times = self.schedule, self.schedule.times(t0)
+        if self.program and (self.program.job.windowed or self.program.job.is_timed):
+            longest = max(abs(t0), abs(t0 + schedule.duration))
+            if text := rounding.of_times(longest, schedule.h):
                 rounding.warn(text)
         return times
 
@@ -243,82 +311,75 @@ class Plan:
         """Number of values that are saved for each body."""
         return self.attitude.stored + sum(self.carried.values())
 
-    def results(self, saves: int) -> Results:
-        """Arrays for a number of saves, not initialised but for the times of events."""
-        n, events = self.n_bodies, len(self.choice.events)
-        return Results(
-            np.empty((saves, n, self.width + 1), self.kind),
-            np.empty(n, np.uint8),
-            np.full((n, events), np.nan),
-        )
-
-    def trajectory(
-        self, t: NDArray[np.float64], results: Results, one_body: bool, end: End | None = None
-    ) -> Trajectory:
-        """The trajectory of the given saves."""
-        saves = results.saves
-        return Trajectory(
-            t=t,
-            state=saves[:, :, : self.attitude.stored],
-            norm_error=saves[:, :, -1],
-            status=results.status,
-            dt=self.clock.dt if self.clock.is_per_body else self.clock.h,
-            one_body=one_body,
-            packed=self.packed,
-            attitude=self.attitude,
-            record=self.choice.method,
-            carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
-            end=end,
-            crossings=results.event_times if self.choice.events else None,
-            terminal=tuple(x.terminal for x in self.choice.events),
-        )
-
     @cached_property
     def _columns(self) -> dict[str, slice]:
         """The columns in which velocity, position and states are saved."""
         ends = pairwise(accumulate(self.carried.values(), initial=self.attitude.stored))
         return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
 
-    def end(self, start: Initial, run: Run, t0: float, done: int) -> End:
+    def _trajectory(
+        self, t: NDArray[np.float64], results: Results, *, one_body: bool, end: End | None = None
+    ) -> Trajectory:
+        """The trajectory of the given saves."""
+        saves, schedule, events = results.saves, self.schedule, self.choice.events
+        return Trajectory(
+            t=t,
+            state=saves[:, :, : self.attitude.stored],
+            norm_error=saves[:, :, -1],
+            status=results.status,
+            dt=schedule.dt if schedule.is_per_body else schedule.h,
+            one_body=one_body,
+            packed=self.packed,
+            attitude=self.attitude,
+            record=self.choice.method,
+            carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
+            end=end,
+            crossings=results.event_times if events else None,
+            terminal=tuple(x.terminal for x in events),
+        )
+
+    def _end(self, start: Initial, t0: float, run: Run, done: int) -> End:
         """The end of a run after ``done`` steps, with a copy of its initial values."""
-        about = {**self._about, "t0": t0, "done": done, "one_body": start.one_body}
+        options = {**self._options, "t0": t0, "done": done, "one_body": start.one_body}
         initial = {"q": start.q.copy(), "y": start.y.copy(), "params": self.packed.params}
-        return End(about, {**initial, **run.kept()})
+        return End(options, {**initial, **run.kept()})
 
     @cached_property
-    def _about(self) -> dict[str, Any]:
+    def _options(self) -> dict[str, Any]:
         """What the end of a run says of its plan."""
         choice = self.choice
         return {
-            "dt": self.clock.h,
+            "dt": self.schedule.h,
             "method": choice.method.name,
             "representation": self.attitude.name,
             "compensated": self.attitude.compensated,
             "normalise": "never" if choice.raw else choice.projection or "output",
             "r0": "r" in self.carried,
             "equations": self.equations,
-            "watched": self.watched,
+            "events": self.events_key,
         }
 
     @cached_property
     def equations(self) -> str:
         """A hash of the operations of a step, the tables that it reads, and when models jump."""
-        read = hashlib.sha256(self.program.formulas.digest)
+        assert self.program is not None
+        job = self.program.job
+        read = hashlib.sha256(job.digest)
         read.update(repr((self.scene.breakpoints, self.scene.sampling)).encode())
         for table in self.packed.tables.values():
             read.update(table.tobytes())
-        read.update(_called(self.program.formulas.resources).encode())
+        read.update(_called(job.resources).encode())
         return read.hexdigest()
 
     @cached_property
-    def watched(self) -> str:
+    def events_key(self) -> str:
         """A hash of the functions of the events and of what they do; empty without events."""
-        if not self.job.events:
+        if self.program is None or not self.choice.events:
             return ""
-        formulas = self.program.formulas
-        each = [(watch.direction, watch.terminal) for watch in self.job.events]
-        spelled = formulas.look.spelled(formulas.resources)
-        called = _called(formulas.resources)
+        job = self.program.job
+        each = [(x.direction, x.terminal) for x in self.choice.events]
+        spelled = job.look.spelled(job.resources)
+        called = _called(job.resources)
         return hashlib.sha256(f"{each}{spelled}{called}".encode()).hexdigest()
 
 
@@ -326,8 +387,8 @@ def prepared(
     scene: Scene,
     n_bodies: int,
     choice: Choice,
-    clock: Clock,
-    kind: np.dtype[Any],
+    schedule: Schedule,
+    dtype: np.dtype[Any],
     *,
     position: bool = False,
     remake: Callable[[], Plan] | None = None,
@@ -335,43 +396,40 @@ def prepared(
 ) -> Plan:
     """The plan of a run, with its program compiled; ``options`` are further fields of ``Plan``."""
     method, attitude = choice.method, choice.attitude
-    if scene.sampling is not None and clock.h < 0.0:
+    if scene.sampling is not None and schedule.h < 0.0:
         raise ValueError(
-            f"dt: found {clock.h} with a sampled controller; accepted: above 0, since what it "
+            f"dt: found {schedule.h} with a sampled controller; accepted: above 0, since what it "
             "holds can't be found backwards"
         )
     position = position or scene.needs_position
     packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
     for event in choice.events:
         packed = packed._replace(tables=packed.tables | event.function.tables)
-    lanes = processor().lanes(kind_of(kind))
-    groups = np.unique(clock.dt).size
+    precision = precision_of(dtype)
+    groups = np.unique(schedule.dt).size
     job = Job(
         method,
         attitude,
         packed.structure,
-        kind_of(kind),
+        precision,
         shared=packed.params.ndim == 1,
         alike=_shared_parameters(packed, _user_parameters(scene, packed) if remake else range(0)),
         raw=choice.raw,
         projects=choice.projection > 0,
         events=choice.events,
         windowed=len(corners_of(scene)) > 0 or scene.sampling is not None,
-        width=width_for(-(-n_bodies // groups), lanes),
     )
-    carried = scene.carried(position=position)
-    limit = limits.turn_limit(scene, method, attitude, kind)
-    damped = limits.decay(scene, clock.dt)
-    compiled = None if method.is_exact else program(job)
+    width = width_for(-(-n_bodies // groups), processor().lanes(precision))
     return Plan(
-        scene, n_bodies, choice, clock, kind, packed, carried, limit, damped, job, compiled,
-        remake=remake, **options,
+        scene, n_bodies, choice, schedule, dtype, packed, scene.carried(position=position),
+        StepLimits(scene, method, attitude, dtype, schedule.dt),
+        None if method.is_exact else program(job, width), remake=remake, **options,
     )  # fmt: skip
 
 
 def _user_parameters(scene: Scene, packed: Packed) -> range:
     """Indices of the user-defined function's parameters, which are the last of the rotation."""
-    end = packed.structure.turning.n_params
+    end = packed.structure.rotation.n_params
     params = () if scene.params is None else np.atleast_1d(np.asarray(scene.params))
     return range(end - np.shape(params)[-1], end)
 
@@ -391,4 +449,4 @@ def _shared_parameters(packed: Packed, without: range) -> tuple[int, ...]:
 
 def _called(resources: Any) -> str:
     """Fingerprints of the functions that a formula calls."""
-    return " ".join(x.fingerprint for kind, x in resources if kind == "function")
+    return " ".join(x.fingerprint for what, x in resources if what == "function")

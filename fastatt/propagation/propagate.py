@@ -10,15 +10,14 @@ from typing import Any
 from numpy.typing import ArrayLike, DTypeLike
 
 from fastatt import checks
-from fastatt.engine.events import Event
+from fastatt.engine.marks import Event
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.choice_of_method import chosen
+from fastatt.propagation.choice_of_method import Choice, chosen
 from fastatt.propagation.event import events_of
-from fastatt.propagation.execute import execute
-from fastatt.propagation.histories import OnSave, options_of, threads_of
 from fastatt.propagation.initial import Initial, initial
-from fastatt.propagation.options import Choice, clock_of
+from fastatt.propagation.output import OnSave, options_of, threads_of
 from fastatt.propagation.plan import Plan, prepared
+from fastatt.propagation.schedule import schedule_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
@@ -177,10 +176,10 @@ def propagate(
     ((11,), (11, 2, 4))
     """
     as_scene(scene)
-    watched = events_of(events, scene, position=r0 is not None)
-    how = (method, representation, compensated, normalise, watched)
+    checked_events = events_of(events, scene, position=r0 is not None)
+    how = (method, representation, compensated, normalise, checked_events)
     # a choice for events may warn each time
-    choice = chosen(scene, *how) if watched else _kept(scene, chosen, *how)
+    choice = chosen(scene, *how) if checked_events else _kept(scene, chosen, *how)
     t0 = checks.real("t0", t0)
     values = (q0, w0, v0, r0, s0)
     start = Initial.of(*initial(scene, values), checks.precision(dtype, *values))
@@ -188,18 +187,24 @@ def propagate(
     begin = 0.0 if save_at is None and n_steps is not None else t0
     n = start.bodies
     when = (dt, n_steps, t_end, save_every, save_at)
-    about = (n, start.q.dtype, choice, r0 is not None, begin, *when)
-    run = _kept(scene, _planned, *about) if n <= _FEW else _planned(scene, *about)
-    options = options_of(run.clock, n, n_threads, progress, on_save, checkpoint)
-    return execute(run, start, t0, options)
+    planning = (n, start.q.dtype, choice, r0 is not None, begin, *when)
+    planned = _kept(scene, _planned, *planning) if n <= _FEW else _planned(scene, *planning)
+    options = options_of(planned.schedule, n, n_threads, progress, on_save, checkpoint)
+    return planned.run(start, t0, **options)
 
 
 def _planned(
-    scene: Scene, n_bodies: int, kind: Any, choice: Choice, position: bool, begin: float, *when: Any
+    scene: Scene,
+    n_bodies: int,
+    dtype: Any,
+    choice: Choice,
+    position: bool,
+    begin: float,
+    *when: Any,
 ) -> Plan:
-    """The plan of a run; ``when`` are the arguments of ``clock_of``."""
-    clock = clock_of(*when, t0=begin, bodies=n_bodies)
-    return prepared(scene, n_bodies, choice, clock, kind, position=position)
+    """The plan of a run; ``when`` are the arguments of ``schedule_of``."""
+    schedule = schedule_of(*when, t0=begin, bodies=n_bodies)
+    return prepared(scene, n_bodies, choice, schedule, dtype, position=position)
 
 
 def _kept(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
@@ -303,20 +308,21 @@ def plan(
     bodies = checks.whole("n_bodies", n_bodies, 1)
     if position and not scene.moves:
         raise ValueError("position: found True, but this scene has no mass; accepted: with mass")
-    arguments["events"] = watched = events_of(events, scene, position=position)
-    choice = chosen(scene, method, representation, compensated, normalise, watched)
+    arguments["events"] = checked_events = events_of(events, scene, position=position)
+    choice = chosen(scene, method, representation, compensated, normalise, checked_events)
     t0 = checks.real("t0", t0)
-    clock = clock_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=bodies)
+    schedule = schedule_of(dt, n_steps, t_end, save_every, save_at, t0=t0, bodies=bodies)
     if METHODS.get(choice.method.name) is choice.method:
         arguments["method"] = choice.method.name
     return prepared(
         scene,
         bodies,
         choice,
-        clock,
+        schedule,
         checks.precision(dtype),
         position=position,
-        n_threads=threads_of(n_threads, bodies, clock.n_steps),
+        n_threads=threads_of(n_threads, bodies, schedule.n_steps),
+        t0=t0,
         has_fixed_t0=n_steps is None or save_at is not None,
         remake=partial(plan, **arguments),
     )

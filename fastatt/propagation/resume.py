@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from fastatt import checks
-from fastatt.engine.events import Event
+from fastatt.engine.marks import Event
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.choice_of_method import chosen
-from fastatt.propagation.end import check, end_of
+from fastatt.propagation.choice_of_method import Choice, chosen
+from fastatt.propagation.end import end_of
 from fastatt.propagation.event import events_of
-from fastatt.propagation.execute import execute
-from fastatt.propagation.histories import OnSave, options_of
-from fastatt.propagation.options import Choice, clock_of
+from fastatt.propagation.output import OnSave, options_of
 from fastatt.propagation.plan import prepared
+from fastatt.propagation.schedule import schedule_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
 
@@ -111,36 +110,38 @@ def resume(
     """
     as_scene(scene)
     end = end_of(run)
-    position = end.about["r0"] and scene.moves
-    watched = events_of(events, scene, position=position)
-    choice = _choice_of(scene, end.about, method, watched)
-    dt, t0, done = (end.about[name] for name in ("dt", "t0", "done"))
-    clock = clock_of(dt, n_steps, t_end, save_every, t0=t0, done=done)
-    if clock.n_steps < 0:
+    position = end.options["r0"] and scene.moves
+    checked_events = events_of(events, scene, position=position)
+    choice = _choice_of(scene, end.options, method, checked_events)
+    dt, t0, done = (end.options[name] for name in ("dt", "t0", "done"))
+    schedule = schedule_of(dt, n_steps, t_end, save_every, t0=t0, done=done)
+    if schedule.n_steps < 0:
         reached, order = t0 + done * dt, "after" if dt > 0.0 else "before"
         raise ValueError(
             f"t_end: found {t_end}; accepted: {reached}, the end of the run, or {order} it"
         )
     bodies = end.start.bodies
-    options = options_of(clock, bodies, n_threads, progress, on_save, checkpoint, resumed=end)
-    plan = prepared(scene, bodies, choice, clock, end.start.q.dtype, position=position)
-    check(end, plan)
-    return execute(plan, end.start, t0, options)
+    options = options_of(schedule, bodies, n_threads, progress, on_save, checkpoint)
+    plan = prepared(scene, bodies, choice, schedule, end.start.q.dtype, position=position)
+    end.check(plan.equations, plan.packed.params, plan.events_key)
+    return plan.run(end.start, t0, resumed=end, **options)
 
 
 def _choice_of(
-    scene: Scene, about: dict[str, Any], method: Method | None, events: tuple[Event, ...]
+    scene: Scene, options: dict[str, Any], method: Method | None, events: tuple[Event, ...]
 ) -> Choice:
     """The method and the representation of the run that is resumed."""
-    name = about["method"]
+    name = options["method"]
     asked = method.name if isinstance(method, Method) else method
     if asked not in (None, name):
         raise ValueError(f"method: found {checks.brief(asked)}; accepted: {name}, as in the run")
     if method is None and name not in METHODS:
         raise ValueError(f"method: is missing; accepted: the Method {name} of the run")
-    options = about["representation"], about["compensated"], about["normalise"]
     try:
-        return chosen(scene, method or name, *options, events)
+        return chosen(
+            scene, method or name, options["representation"], options["compensated"],
+            options["normalise"], events,
+        )  # fmt: skip
     except ValueError as error:
         raise ValueError(
             f"scene: found one that does not fit the run ({error}); accepted: that of the run"

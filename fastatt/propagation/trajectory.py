@@ -129,9 +129,9 @@ class Trajectory:
             return self._shaped(self.carried["w"])
         packed = self.packed
         assert packed is not None
-        turning = packed.structure.turning
-        assert isinstance(turning, PrescribedRate)
-        law = turning.law
+        rotation = packed.structure.rotation
+        assert isinstance(rotation, PrescribedRate)
+        law = rotation.law
         n, params = law.states, packed.params[..., : law.count]
         rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
         states = self.carried["s"] if n else np.zeros(0)
@@ -141,7 +141,7 @@ class Trajectory:
             t = earlier(t, earlier.reduce(self.crossings[:, self.terminal], axis=1))
         (w,) = rates(t, states, params, tables=packed.tables)
         w = self._shaped(np.broadcast_to(w, (*self.state.shape[:2], 3)))
-        if turning.inertial:
+        if rotation.inertial:
             w = np.einsum("...ji,...j->...i", self.dcm, w)
         with np.errstate(over="ignore"):
             return w.astype(self.state.dtype, copy=False)

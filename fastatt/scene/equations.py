@@ -78,11 +78,11 @@ class RigidBody(NamedTuple):
 class Structure(NamedTuple):
     """The rates, torques and forces of a scene without their numbers.
 
-    Its parameters are those of ``turning``, and with mass 1/μ, μ and those of the force. Next to
-    the rotation it has the velocity, the position and the states of ``turning``'s law.
+    Its parameters are those of ``rotation``, and with mass 1/μ, μ and those of the force. Next to
+    the rotation it has the velocity, the position and the states of ``rotation``'s law.
     """
 
-    turning: PrescribedRate | RigidBody
+    rotation: PrescribedRate | RigidBody
     force: Law | None = None
     #: whether the position is propagated
     position: bool = False
@@ -90,25 +90,25 @@ class Structure(NamedTuple):
     @property
     def n_params(self) -> int:
         """Number of parameters."""
-        return self.turning.n_params + (0 if self.force is None else 2 + self.force.count)
+        return self.rotation.n_params + (0 if self.force is None else 2 + self.force.count)
 
     @property
     def reads_position(self) -> bool:
         """Whether the torque or the force depends on the position."""
         if self.force is None:
             return False
-        return self.force.reads_position or self.turning.law.reads_position
+        return self.force.reads_position or self.rotation.law.reads_position
 
     @property
     def coupled(self) -> int:
         """Size of velocity, position and states."""
         moved = (0 if self.force is None else 3) + (3 if self.position else 0)
-        return moved + self.turning.law.states
+        return moved + self.rotation.law.states
 
     @property
     def tail(self) -> int:
         """Size of the auxiliary state."""
-        return self.coupled + (3 if isinstance(self.turning, RigidBody) else 0)
+        return self.coupled + (3 if isinstance(self.rotation, RigidBody) else 0)
 
 
 class EquationsOfMotion:
@@ -117,7 +117,7 @@ class EquationsOfMotion:
     Each class has ``at(t)``, what ``field`` needs of a time and is evaluated once for all stages
     that share it; ``field(g, x)``, the time derivative of a state without low parts, then that of
     the scene's states; ``base(x)``, the state without its low parts; ``advanced(x, d)``, x + d with
-    the rounding error kept in the low parts; ``turning(g, xdot, x)``, the square of the rate
+    the rounding error kept in the low parts; ``speed_squared(g, xdot, x)``, the square of the rate
     (rad/s) that limits an explicit step; ``begin(q, auxiliary)``, the state at an attitude and an
     auxiliary state; ``output(x, finish)``, the numbers that a trajectory holds and the norm error,
     where ``finish`` converts the attitude; and ``pose(t, x)``, attitude and angular velocity of the
@@ -201,7 +201,9 @@ class Turning(EquationsOfMotion):
     def advanced(self, x: Vector, d: Vector) -> Any:
         return self.attitude.add(x, d)
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+    def speed_squared(
+        self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED
+    ) -> Any:
         return self.attitude.speed_squared(xdot, self._rate(g, coupled)[:3])
 
     def begin(self, q: Vector, auxiliary: Vector) -> Any:
@@ -296,7 +298,9 @@ class Body(EquationsOfMotion):
         a, m = self.attitude_of(x), self.momentum_of(x)
         return (*self.attitude.add(a, d[:n]), *self.attitude.add_vector(m, d[n:]))
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+    def speed_squared(
+        self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED
+    ) -> Any:
         n = self.plain.size
         w = self.angular_velocity(x[n:])
         return self.attitude.speed_squared(xdot[:n], w)
@@ -370,12 +374,12 @@ class Coupled(EquationsOfMotion):
 
     def __init__(self, attitude: Attitude, structure: Structure, p: Vector, like: Any) -> None:
         super().__init__(attitude)
-        n = structure.turning.n_params
-        self.inner = rotation_of(structure.turning, attitude, p[:n], like)
+        n = structure.rotation.n_params
+        self.inner = rotation_of(structure.rotation, attitude, p[:n], like)
         # stages are evaluated without low parts
-        self.stage = rotation_of(structure.turning, attitude.plain, p[:n], like)
+        self.stage = rotation_of(structure.rotation, attitude.plain, p[:n], like)
         self._coupled, self._force = structure.coupled, structure.force
-        self._states = structure.turning.law.states
+        self._states = structure.rotation.law.states
         #: 1/μ, μ and the parameters of the force; empty without a force
         self._numbers = p[n:]
         #: squares of the orbital rates at the stages of the step that is being recorded
@@ -440,9 +444,11 @@ class Coupled(EquationsOfMotion):
         (a, moved), (d_a, d_moved) = self._split(x), self._split(d)
         return (*self.inner.advanced(a, d_a), *plus(moved, d_moved))
 
-    def turning(self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED) -> Any:
+    def speed_squared(
+        self, g: Any, xdot: Vector, x: Vector, coupled: CoupledStates = UNCOUPLED
+    ) -> Any:
         a, moved = self._split(x)
-        square = self.inner.turning(g[1], self._split(xdot)[0], a, self._named(moved))
+        square = self.inner.speed_squared(g[1], self._split(xdot)[0], a, self._named(moved))
         for of_stage in self._squares:
             # times four, since limits hold for a quaternion, which rotates at half the body's rate
             square = larger(square, as_like(4.0 * of_stage, x[0]))
@@ -473,4 +479,4 @@ def motion_of(structure: Structure, attitude: Attitude, p: Vector, like: Any) ->
     """The equations of motion of a scene; ``like`` has the state's precision."""
     if structure.coupled:
         return Coupled(attitude, structure, p, like)
-    return rotation_of(structure.turning, attitude, p, like)
+    return rotation_of(structure.rotation, attitude, p, like)

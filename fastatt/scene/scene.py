@@ -161,21 +161,21 @@ class Scene:
         for name in ("rate", "torque", "force"):
             object.__setattr__(self, name, _held(getattr(self, name)))
         structure, params, _ = self.packed(None)
-        if self.mass is None and structure.turning.law.reads_position:
+        if self.mass is None and structure.rotation.law.reads_position:
             raise ValueError(
                 "torque: found one that depends on the position, without a mass; accepted: "
                 "with mass and force"
             )
-        carried = structure.turning.law.states
+        carried = structure.rotation.law.states
         if self.states not in (0, carried):
             raise ValueError(
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
-        object.__setattr__(self, "_law", structure.turning.law)
+        object.__setattr__(self, "_law", structure.rotation.law)
         object.__setattr__(self, "states", carried)
         # refuses two clocks
-        object.__setattr__(self, "sampling", structure.turning.law.sampling)
+        object.__setattr__(self, "sampling", structure.rotation.law.sampling)
         # computed once, since it takes long for many bodies
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
@@ -280,7 +280,7 @@ class Scene:
         body; a rate whose parameters all bodies share is called once for a group of bodies.
         """
         structure = self.packed(None).structure
-        laws = (structure.turning.law, structure.force)
+        laws = (structure.rotation.law, structure.force)
         return tuple(f for law in laws if law is not None for f in _functions_of(law))
 
     @property
@@ -334,7 +334,7 @@ class Scene:
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        given = {"tables": packed.tables, "states": packed.structure.turning.law.states}
+        given = {"tables": packed.tables, "states": packed.structure.rotation.law.states}
         force = models.pack(model, forces.Force, n_bodies, **given)
         columns = [packed.params, 1.0 / mass[..., None], mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)

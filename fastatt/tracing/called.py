@@ -81,8 +81,8 @@ class _Maker:
     def _tuple(self, *values: Any) -> Any:
         return tuple(map(self, values))
 
-    def _array(self, shape: Any, kind: str, data: bytes) -> Any:
-        found = np.frombuffer(data, kind).reshape(shape)
+    def _array(self, shape: Any, dtype: str, data: bytes) -> Any:
+        found = np.frombuffer(data, dtype).reshape(shape)
         return found if shape else found[()]
 
     def _module(self, name: str, *attribute: str) -> Any:

@@ -11,45 +11,34 @@ lane for each direction, which takes a sixth of the operations for six direction
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from fastatt.kernels import trig
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double, Number
-from fastatt.tracing.mathematics import as_float
-from fastatt.tracing.nodes import Composed, Node, TraceError
-from fastatt.tracing.source import evaluated
+from fastatt.tracing.nodes import COMPARISONS, Composed, TraceError
+from fastatt.tracing.operations import OPERATIONS, applied, as_float
 
 _STEP = 2.0**-17
 """Of differences: near the cube root of an ulp, where rounding and truncation are alike."""
 
-Slope = Callable[[Any, Any], Any]
 
-#: derivatives of operators by a and b, from these and the result
-_BY_BOTH: dict[Any, Callable[..., tuple[Any, Any]]] = {
-    operator.add: lambda a, b, f: (1.0, 1.0),
-    operator.sub: lambda a, b, f: (1.0, -1.0),
-    operator.mul: lambda a, b, f: (b, a),
-    operator.truediv: lambda a, b, f: (1.0 / b, -f / b),
-}
-_COMPARISONS = (operator.lt, operator.le, operator.gt, operator.ge, operator.eq, operator.ne)
-
-
-def _operators(operation: Callable[[Any, Any], Any]) -> list[Callable[[Any, Any], Any]]:
+def _operators(op: str) -> list[Callable[[Any, Any], Any]]:
     """An operator, and the one with its operands turned."""
+    of: Any = OPERATIONS[op]
 
     def operate(a: Any, b: Any) -> Any:
         x, y = value(a), value(b)
-        result = operation(x, y)
-        by_a, by_b = _BY_BOTH[operation](x, y, result)
+        result = of.traced(x, y)
+        by_a, by_b = of.slope(x, y, result)
         return _through(result, (a, by_a), (b, by_b))
 
     return [operate, lambda b, a: operate(a, b)]
 
 
-def _comparison(test: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def _comparison(op: str) -> Callable[[Any, Any], Any]:
+    test: Any = OPERATIONS[op].traced
     return lambda x, y: test(x.value, value(y))
 
 
@@ -64,32 +53,32 @@ class Dual(Composed):
         self.value, self.slopes = value, slopes
 
     @property
-    def kind(self) -> str:
+    def precision(self) -> str:
         """Precision of the value, "" for a known one."""
-        return self.value.kind if isinstance(self.value, Number) else ""
+        return self.value.precision if isinstance(self.value, Number) else ""
 
-    def precision(self) -> Callable[[Any], Any]:
+    def own_type(self) -> Callable[[Any], Any]:
         """``type(x)``, as for its value."""
-        return self.value.precision() if isinstance(self.value, Number) else as_float
+        return self.value.own_type() if isinstance(self.value, Number) else as_float
 
     def cast(self, to: type[Number]) -> Any:
         """The number in another precision."""
         slopes = [to(slope) if isinstance(slope, Number) else slope for slope in self.slopes]
         return _dual(to(self.value), slopes)
 
-    __add__, __radd__ = _operators(operator.add)
-    __sub__, __rsub__ = _operators(operator.sub)
-    __mul__, __rmul__ = _operators(operator.mul)
-    __truediv__, __rtruediv__ = _operators(operator.truediv)
+    __add__, __radd__ = _operators("+")
+    __sub__, __rsub__ = _operators("-")
+    __mul__, __rmul__ = _operators("*")
+    __truediv__, __rtruediv__ = _operators("/")
     __neg__ = lambda self: _through(-self.value, (self, -1.0))  # noqa: E731
     __abs__ = lambda self: self.applied("abs")  # noqa: E731
     __pow__ = lambda self, power: self.raised(power)  # noqa: E731
-    __lt__, __le__, __gt__, __ge__, __eq__, __ne__ = map(_comparison, _COMPARISONS)
+    __lt__, __le__, __gt__, __ge__, __eq__, __ne__ = map(_comparison, COMPARISONS)
     __hash__ = None  # type: ignore[assignment]
 
     def applied(self, function: str) -> Any:
         """A function of one number."""
-        result, slope = _applied(function, self.value), _SLOPES.get(function)
+        result, slope = applied(function, self.value), OPERATIONS[function].slope
         return _through(result, (self, slope(self.value, result))) if slope else result
 
     def raised(self, power: Any) -> Any:
@@ -183,30 +172,8 @@ def _dual(x: Any, slopes: Sequence[Any]) -> Any:
     return Dual(x, tuple(slopes))
 
 
-def _applied(function: str, x: Any) -> Any:
-    """A function of a number; for a known number evaluated by Python."""
-    if isinstance(x, Number):
-        return graph.apply(function, x)
-    return float(evaluated(Node(function, "", ()), [x]))
-
-
 def _raised(x: Any, power: Any) -> Any:
     return functions.raised(x, power) if isinstance(x, Number) else float(x) ** power
-
-
-# functions with their derivatives from x and f(x)
-_SLOPES: dict[str, Slope] = {
-    "abs": lambda x, f: graph.choose(x < 0.0, -1.0, 1.0),
-    "sqrt": lambda x, f: 0.5 / f,
-    "exp": lambda x, f: f,
-    "log": lambda x, f: 1.0 / x,
-    "tan": lambda x, f: 1.0 + f * f,
-    "tanh": lambda x, f: (1.0 - f) * (1.0 + f),
-    "sinh": lambda x, f: _applied("cosh", x),
-    "cosh": lambda x, f: _applied("sinh", x),
-    "asin": lambda x, f: 1.0 / _applied("sqrt", (1.0 - x) * (1.0 + x)),
-    "acos": lambda x, f: -1.0 / _applied("sqrt", (1.0 - x) * (1.0 + x)),
-}
 
 
 def _sincos(formula: Callable[..., Any], x: Dual) -> tuple[Any, Any]:
@@ -249,10 +216,10 @@ def seed(values: Sequence[Any], size: int, first: int = 0, like: Any = None) -> 
     if not numbers:
         raise TraceError("a seed of known numbers alone")
     places = range(first, first + len(values))
-    of, kind = numbers[0].graph, numbers[0].kind
+    of, precision = numbers[0].graph, numbers[0].precision
     units: list[tuple[Any, ...]]
     if of.lanes >= size > 1:
-        units = [(of.input(kind, "direction", k),) for k in places]
+        units = [(of.input(precision, "direction", k),) for k in places]
     else:
         units = [tuple(float(i == k) for i in range(size)) for k in places]
     return tuple(Dual(x, unit) for x, unit in zip(values, units, strict=True))

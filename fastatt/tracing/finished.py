@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import chain
+from types import MappingProxyType
 from typing import Any
 
 from fastatt.tracing.graph import Graph, number
@@ -12,7 +13,7 @@ from fastatt.tracing.nodes import SPECIAL, Node, operands, renamed
 
 #: least number of operations of a value that is kept in memory instead of being computed again
 _WORTH = 3
-#: operations that use a resource in memory, and its kind
+#: operations that use a resource in memory, and what it is
 _RESOURCES = {"row": "table", "opaque": "function"}
 
 
@@ -23,10 +24,15 @@ class Flat:
     by a compiler, so that every form of a formula rounds alike.
     """
 
-    def __init__(self, graph: Graph, results: Iterable[Any], kinds: str | Sequence[str]) -> None:
+    #: how many of the results belong together, by name, if these groups have names
+    groups: Mapping[str, int] = MappingProxyType({})
+
+    def __init__(
+        self, graph: Graph, results: Iterable[Any], precisions: str | Sequence[str]
+    ) -> None:
         values = list(results)
-        each = [kinds] * len(values) if isinstance(kinds, str) else list(kinds)
-        ends = [number(graph, x, kind).at for x, kind in zip(values, each, strict=True)]
+        each = [precisions] * len(values) if isinstance(precisions, str) else list(precisions)
+        ends = [number(graph, x, precision).at for x, precision in zip(values, each, strict=True)]
         nodes, made = graph.nodes, dict[int, Node]()
         live = _live(dict(enumerate(nodes)), ends)
         uses = Counter(chain(ends, *(operands(nodes[i]) for i in live)))
@@ -39,12 +45,12 @@ class Flat:
                 if product is None and nodes[i].op == "-" and k is not None:
                     # −(a b) − c: with the sign at a there is one instruction
                     a, b = nodes[k].args
-                    made[left] = Node("neg", nodes[i].kind, (a,))
-                    made[i] = Node("fms", nodes[i].kind, (left, b, nodes[i].args[1]))
+                    made[left] = Node("neg", nodes[i].precision, (a,))
+                    made[i] = Node("fms", nodes[i].precision, (left, b, nodes[i].args[1]))
                 elif product is not None:
                     op, k, other = product
                     a, b = nodes[k].args
-                    made[i] = Node(op, nodes[i].kind, (a, b, other))
+                    made[i] = Node(op, nodes[i].precision, (a, b, other))
         self.nodes, self.results = _numbered(made, ends)
 
     @classmethod
@@ -90,8 +96,8 @@ class Flat:
 
         def spelled(node: Node) -> Any:
             if node.op not in _RESOURCES:
-                return node.op, node.kind, node.args
-            return node.op, node.kind, places[_RESOURCES[node.op], node.args[0]], node.args[1:]
+                return node.op, node.precision, node.args
+            return node.op, node.precision, places[_RESOURCES[node.op], node.args[0]], node.args[1:]
 
         return repr(([spelled(node) for node in self.nodes], self.results))
 
@@ -111,7 +117,7 @@ def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple
     ends: list[int] = []
     for i, node in enumerate(flat.nodes):
         if node.op == "item" and i in shared:
-            made[i] = Node("in", node.kind, ("called", len(ends)))
+            made[i] = Node("in", node.precision, ("called", len(ends)))
             ends.append(i)
     if not ends:
         return None, flat
@@ -170,13 +176,20 @@ class Constants:
                 continue
             node = made[i]
             at = own.get(i)
-            if at is not None and node.kind and self._costs[at] >= _WORTH and self._has_own[at]:
+            if (
+                at is not None
+                and node.precision
+                and self._costs[at] >= _WORTH
+                and self._has_own[at]
+            ):
                 if more:
                     self._picked.setdefault(at, len(self._picked))
                 if at in self._picked:
-                    node = made[i] = Node("in", node.kind, (self.name, self._picked[at]))
+                    node = made[i] = Node("in", node.precision, (self.name, self._picked[at]))
             wanted.update(operands(node))
-        return Flat.of(made, flat.results)
+        rest = Flat.of(made, flat.results)
+        rest.groups = flat.groups
+        return rest
 
     def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
         """The operations that depend on the group alone, with their numbers among these."""
@@ -186,7 +199,7 @@ class Constants:
             given = node.op == "const" or (node.op == "in" and node.args[0] == self.group)
             if given or (node.op not in SPECIAL and all(k in own for k in ops)):
                 args = [own[k] for k in ops] if ops else node.args
-                own[i] = self._graph.add(node.op, node.kind, *args)
+                own[i] = self._graph.add(node.op, node.precision, *args)
                 if own[i] == len(self._costs):
                     cost = _WORTH if node.op == "cast" else 1 if ops else 0
                     self._costs.append(cost + sum(self._costs[k] for k in args if ops))

@@ -7,8 +7,8 @@ from functools import reduce
 from typing import Any
 
 from fastatt.tracing.graph import choose
-from fastatt.tracing.mathematics import kind_of
 from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.operations import own_type_of
 from fastatt.tracing.trace import Traceable
 
 Vector = tuple[Any, ...]
@@ -35,7 +35,7 @@ def as_like(x: Any, like: Any) -> Any:
     """x in the precision of ``like``; for tuples each number."""
     if isinstance(x, tuple):
         return tuple(as_like(y, like) for y in x)
-    return kind_of(like)(x)
+    return own_type_of(like)(x)
 
 
 def plus(*vectors: Vector) -> Vector:

@@ -160,8 +160,8 @@ def is_source(value: Any) -> bool:
     if isinstance(value, types.ModuleType):
         return value.__name__ in _SOURCES
     of = getattr(value, "__self__", None) if callable(value) else None
-    kinds = [x if isinstance(x, type) else type(x) for x in (value, of)]
-    where = {x.__module__ for x in kinds} | {str(getattr(value, "__module__", "") or "")}
+    classes = [x if isinstance(x, type) else type(x) for x in (value, of)]
+    where = {x.__module__ for x in classes} | {str(getattr(value, "__module__", "") or "")}
     of_source = any(x in _SOURCES or x.startswith("numpy.random") for x in where)
     return of_source or hasattr(type(value), "__next__")
 

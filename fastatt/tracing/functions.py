@@ -56,7 +56,7 @@ def larger(a: Any, b: Any) -> Any:
     if not isinstance(a, Number) and not isinstance(b, Number):
         return max(a, b)
     a, b = _pair(a, b)
-    return _made(a.graph, "larger", a.kind, a.at, b.at)
+    return _made(a.graph, "larger", a.precision, a.at, b.at)
 
 
 def row(table: Any, index: Any, count: int) -> tuple[Any, ...]:
@@ -67,7 +67,7 @@ def row(table: Any, index: Any, count: int) -> tuple[Any, ...]:
 
 def lane(x: Number, k: int) -> Any:
     """The number in lane k of a value that has a lane for each direction."""
-    return _made(x.graph, "lane", x.kind, k, x.at)
+    return _made(x.graph, "lane", x.precision, k, x.at)
 
 
 def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tuple[Any, ...]:

@@ -48,23 +48,23 @@ class Graph:
         self._spans: set[int] = set()
         self._of_time: list[tuple[bool, bool]] = []
 
-    def add(self, op: str, kind: str, *args: Any) -> int:
+    def add(self, op: str, precision: str, *args: Any) -> int:
         """The number of an operation, which is added if it is new."""
         # 0.0 and -0.0 are equal as keys, and NaN does not equal itself
-        key = (op, kind, tuple(map(float.hex, args)) if op == "const" else args)
+        key = (op, precision, tuple(map(float.hex, args)) if op == "const" else args)
         found = self._known.get(key)
         if found is None:
             found = self._known[key] = len(self.nodes)
-            self.nodes.append(Node(op, kind, args))
+            self.nodes.append(Node(op, precision, args))
         return found
 
-    def input(self, kind: str, *name: Any) -> Number:
+    def input(self, precision: str, *name: Any) -> Number:
         """An input; ``name`` is the name by which a program finds it."""
-        return _of(self, self.add("in", kind, *name), kind)  # type: ignore[no-any-return]
+        return _of(self, self.add("in", precision, *name), precision)  # type: ignore[no-any-return]
 
-    def inputs(self, kind: str, group: str, n: int) -> tuple[Number, ...]:
+    def inputs(self, precision: str, group: str, n: int) -> tuple[Number, ...]:
         """Numbers (group, 0) to (group, n − 1)."""
-        return tuple(self.input(kind, group, i) for i in range(n))
+        return tuple(self.input(precision, group, i) for i in range(n))
 
     def time(self, t: Number) -> Number:
         """Mark a number as a time."""
@@ -95,20 +95,20 @@ def _lifted(x: Any, like: Number) -> Number:
     if not isinstance(x, (int, float, np.number, np.bool_)):
         raise TraceError(f"arithmetic with {type(x).__name__}")
     value = float(x)
-    return _made(like.graph, "const", like.kind, value)  # type: ignore[no-any-return]
+    return _made(like.graph, "const", like.precision, value)  # type: ignore[no-any-return]
 
 
 def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
     """Both operands as numbers of one precision; see ``Graph``."""
     like = a if isinstance(a, Number) else b
     a, b = _lifted(a, like), _lifted(b, like)
-    if a.kind != b.kind:
+    if a.precision != b.precision:
         graph = a.graph
-        wide, other = (a, b) if a.kind == "double" else (b, a)
+        wide, other = (a, b) if a.precision == "double" else (b, a)
         later = op in ("+", "-") and graph.of_time(wide.at)[0] and graph.of_time(other.at)[1]
         keeps = not graph.narrow or later
-        kind = Double if keeps else Single
-        a, b = kind(a), kind(b)
+        precision = Double if keeps else Single
+        a, b = precision(a), precision(b)
     return a, b
 
 
@@ -117,7 +117,7 @@ def _binary(op: str, a: Any, b: Any) -> Any:
         if isinstance(b, Composed):
             return NotImplemented
         a, b = _pair(a, b, op)
-    return _made(a.graph, op, a.kind, a.at, b.at)
+    return _made(a.graph, op, a.precision, a.at, b.at)
 
 
 def _is(x: Any, value: float) -> bool:
@@ -198,14 +198,16 @@ class Number(Recorded):
     """A number of a graph."""
 
     __slots__ = ("at", "graph")
-    kind = ""
+    precision = ""
     at: int
     graph: Graph
 
     def __new__(cls, x: Any) -> Any:
         """x in this precision, the meaning of ``type(y)(x)`` in a kernel."""
         if isinstance(x, Number):
-            return x if x.kind == cls.kind else _made(x.graph, "cast", cls.kind, x.at)
+            return (
+                x if x.precision == cls.precision else _made(x.graph, "cast", cls.precision, x.at)
+            )
         return x.cast(cls) if isinstance(x, Composed) else cls.rounded(x)
 
     @staticmethod
@@ -224,8 +226,8 @@ class Number(Recorded):
     def __neg__(self) -> Any:
         node = self.graph.nodes[self.at]
         if node.op == "neg":
-            return _of(self.graph, node.args[0], self.kind)
-        return _made(self.graph, "neg", self.kind, self.at)
+            return _of(self.graph, node.args[0], self.precision)
+        return _made(self.graph, "neg", self.precision, self.at)
 
     def __abs__(self) -> Any:
         return apply("abs", self)
@@ -239,14 +241,14 @@ class Double(Number):
     """A number of double precision."""
 
     __slots__ = ()
-    kind = "double"
+    precision = "double"
 
 
 class Single(Number):
     """A number of single precision."""
 
     __slots__ = ()
-    kind = "single"
+    precision = "single"
 
     @staticmethod
     def rounded(x: Any) -> float:
@@ -282,7 +284,7 @@ class Condition:
     """A truth value of a graph."""
 
     __slots__ = ("at", "graph")
-    kind = ""
+    precision = ""
     at: int
     graph: Graph
 
@@ -298,14 +300,14 @@ class Condition:
 CLASSES: dict[str, type[Number]] = {"double": Double, "single": Single}
 
 
-def _of(graph: Graph, at: int, kind: str) -> Any:
-    number = object.__new__(CLASSES[kind])
+def _of(graph: Graph, at: int, precision: str) -> Any:
+    number = object.__new__(CLASSES[precision])
     number.graph, number.at = graph, at
     return number
 
 
-def _made(graph: Graph, op: str, kind: str, *args: Any) -> Any:
-    return _of(graph, graph.add(op, kind, *args), kind)
+def _made(graph: Graph, op: str, precision: str, *args: Any) -> Any:
+    return _of(graph, graph.add(op, precision, *args), precision)
 
 
 def _condition_at(graph: Graph, at: int) -> Condition:
@@ -348,16 +350,16 @@ def choose(test: Any, a: Any, b: Any) -> Any:
     inner = a.graph.nodes[a.at]
     if inner.op == "select" and inner.args[2] == b.at:  # of nested conditions
         test = both(test, _condition_at(a.graph, inner.args[0]))
-        a = _of(a.graph, inner.args[1], a.kind)
-    return a if a.at == b.at else _made(a.graph, "select", a.kind, test.at, a.at, b.at)
+        a = _of(a.graph, inner.args[1], a.precision)
+    return a if a.at == b.at else _made(a.graph, "select", a.precision, test.at, a.at, b.at)
 
 
 def _compared(test: Condition) -> str:
     """Precision of the first numbers that a condition compares."""
     node = test.graph.nodes[test.at]
-    while not node.kind:
+    while not node.precision:
         node = test.graph.nodes[node.args[0]]
-    return node.kind
+    return node.precision
 
 
 def apply(function: str, x: Any) -> Any:
@@ -366,17 +368,17 @@ def apply(function: str, x: Any) -> Any:
         return x.applied(function)
     if not isinstance(x, Number):
         raise TraceError(f"{function} of {type(x).__name__}")
-    return _made(x.graph, function, x.kind, x.at)
+    return _made(x.graph, function, x.precision, x.at)
 
 
-def number(graph: Graph, x: Any, kind: str) -> Number:
+def number(graph: Graph, x: Any, precision: str) -> Number:
     """x as a number of a graph and a precision."""
     if isinstance(x, Number):
-        return CLASSES[kind](x)  # type: ignore[no-any-return]
+        return CLASSES[precision](x)  # type: ignore[no-any-return]
     if isinstance(x, (bool, Condition, Composed)):
         what = type(x).__name__ if isinstance(x, Composed) else "truth value"
         raise TraceError(f"a {what} where a number of a graph is wanted")
-    return _of(graph, graph.add("const", kind, float(x)), kind)  # type: ignore[no-any-return]
+    return _of(graph, graph.add("const", precision, float(x)), precision)  # type: ignore[no-any-return]
 
 
 @contextlib.contextmanager

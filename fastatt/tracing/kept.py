@@ -7,8 +7,7 @@ are evaluated with NumPy.
 from __future__ import annotations
 
 import hashlib
-import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,18 +15,11 @@ from numpy.typing import NDArray
 
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double
-from fastatt.tracing.mathematics import FORMULAS
 from fastatt.tracing.nodes import Node, Recorded
+from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.source import evaluated, performed
 
 Numbers = NDArray[np.float64]
-#: operators of numbers
-ARITHMETIC: dict[str, Callable[..., Any]] = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "abs": abs,
-    "//": operator.floordiv, "%": operator.mod, "neg": operator.neg, "pow": operator.pow,
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-    "==": operator.eq, "!=": operator.ne,
-}  # fmt: skip
 
 
 class Table:
@@ -80,6 +72,4 @@ def _replayed(node: Node, given: list[Any]) -> Any:
         return functions.row(args[0], Double(graph.choose(inside, index, 0.0)), 1)[0]
     if op == "look":
         return args[0].traced_at(*given)
-    if op == "select":
-        return graph.choose(*given)
-    return (ARITHMETIC.get(op) or FORMULAS[op])(*given)
+    return OPERATIONS[op].traced(*given)

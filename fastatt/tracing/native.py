@@ -31,7 +31,7 @@ def _normalise(q: tuple[Any, ...]) -> tuple[Any, ...]:
     size = abs(q[0])
     for x in q[1:]:
         size = choose(abs(x) > size, abs(x), size)
-    n, least = apply("exponent", size), -1000.0 if size.kind == "double" else -100.0
+    n, least = apply("exponent", size), -1000.0 if size.precision == "double" else -100.0
     s = apply("power_of_two", 1.0 - choose(n < least, least, n))
     q = tuple(s * x for x in q)
     s = 1.0 / apply("sqrt", sum(x * x for x in q))
@@ -40,7 +40,7 @@ def _normalise(q: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
     high = a * b
-    return high, _made(a.graph, "fms", a.kind, a.at, b.at, high.at)
+    return high, _made(a.graph, "fms", a.precision, a.at, b.at, high.at)
 
 
 def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:

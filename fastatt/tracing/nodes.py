@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
-LIBRARY = ("exp", "log", "tan", "tanh", "sinh", "cosh", "asin", "acos")
 
 
 class TraceError(TypeError):
@@ -24,7 +23,7 @@ class Node(NamedTuple):
     """An operation: its name, the precision of its result ("" for a condition), its operands."""
 
     op: str
-    kind: str
+    precision: str
     args: tuple[Any, ...]
 
 
@@ -66,7 +65,7 @@ class Recorded:
     __array_ufunc__ = None
     __hash__ = None  # type: ignore[assignment]
 
-    def precision(self) -> Callable[[Any], Any]:
+    def own_type(self) -> Callable[[Any], Any]:
         """``type(x)``: a function that converts to the precision of x."""
         return type(self)
 

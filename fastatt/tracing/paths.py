@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fastatt.tracing.frozen import Freezer, guarded
-from fastatt.tracing.kept import ARITHMETIC, Kept
+from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
+from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.replacements import BUILTINS, each, known_names, replaced, unknown_in
 from fastatt.tracing.rewriting import rewritten
 from fastatt.tracing.unknown import Recorder, is_number, is_whole
@@ -35,7 +36,7 @@ def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], An
     """``yes() if a op b else no()``; the choice of two numbers is no condition of the path."""
     with contextlib.suppress(Exception):
         return _either(op, a, b, yes, no)
-    return yes() if ARITHMETIC[op](a, b) else no()
+    return yes() if OPERATIONS[op].traced(a, b) else no()
 
 
 def _changed(op: str, a: Any, b: Any, change: str, old: Any, value: Callable[[], Any]) -> Any:
@@ -45,7 +46,7 @@ def _changed(op: str, a: Any, b: Any, change: str, old: Any, value: Callable[[],
         if type(old) is np.ndarray or (is_number(old) and not is_whole(old)):
             none = lambda: np.full(np.shape(value()), _NEUTRAL[change])[()]  # noqa: E731
             return in_place(old, _either(op, a, b, lambda: 1.0 * value(), none))
-    return in_place(old, value()) if ARITHMETIC[op](a, b) else old
+    return in_place(old, value()) if OPERATIONS[op].traced(a, b) else old
 
 
 def _either(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:

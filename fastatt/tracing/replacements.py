@@ -13,21 +13,10 @@ from typing import Any
 import numpy as np
 
 from fastatt.tracing import frozen
-from fastatt.tracing.mathematics import FORMULAS
 from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.operations import NAMED, OPERATIONS
 from fastatt.tracing.unknown import Unknown, is_whole, whole
 
-#: operations of functions in math and NumPy with other names
-_RENAMED = {
-    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2", "absolute": "abs",
-    "fabs": "abs", "fix": "trunc", "round": "rint", "around": "rint", "add": "+", "subtract": "-",
-    "multiply": "*", "divide": "/", "floor_divide": "//", "mod": "%", "negative": "neg",
-}  # fmt: skip
-#: how many numbers an operation takes
-_COUNTS = {
-    **dict.fromkeys((*FORMULAS, "neg"), 1),
-    **dict.fromkeys("atan2 hypot copysign fmod remainder minimum maximum + - * / // %".split(), 2),
-}
 #: NumPy's functions that multiply, add, ask, or move elements
 _PASSED = frozenset((
     "append column_stack concatenate cross diag diagonal dot flip hstack inner matmul mean outer "
@@ -162,11 +151,12 @@ class Library:
         if like is None:
             return _known(value, args, named)
         full = f"{self._module.__name__}.{name} of numbers that are not known beforehand"
+        op = NAMED.get(name, name)
+        of = None if named else OPERATIONS.get(op)
         if isinstance(like, Recorded):
-            formula = None if named else FORMULAS.get(_RENAMED.get(name, name))
-            if formula is None:
+            if of is None or of.traced is None:
                 raise TraceError(full)
-            return formula(*args)
+            return of.traced(*args)
         special = (_OF_MATH if of_math else _OF_NUMPY).get(name)
         if special is not None:
             return special(*args, **named)
@@ -174,8 +164,7 @@ class Library:
             joins = name.endswith(("stack", "concatenate"))
             made = (objects(x) if isinstance(x, (tuple, list)) and not joins else x for x in args)
             return value(*made, **named)
-        op = _RENAMED.get(name, name)
-        if named or len(args) != _COUNTS.get(op):
+        if of is None or of.traced is None or len(args) != of.arity:
             raise TraceError(full)
         return like.recorder.unknown(op, *args) if of_math else each(_of_numbers(op, value), *args)
 
@@ -229,7 +218,7 @@ _CLASSES: dict[Any, Any] = {to_float: float, _to_int: int}
 def _type(x: Any) -> Any:
     if isinstance(x, Unknown):
         return _to_int if x.whole else to_float
-    return next((ours for ours, kind in _CLASSES.items() if type(x) is kind), type(x))
+    return next((ours for ours, cls in _CLASSES.items() if type(x) is cls), type(x))
 
 
 BUILTINS = {k: frozen.unknown(x) for k, x in vars(builtins).items() if callable(x)} | {

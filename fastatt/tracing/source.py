@@ -16,20 +16,11 @@ from typing import Any
 import numpy as np
 
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.nodes import COMPARISONS, Node, operands
+from fastatt.tracing.nodes import Node, operands
+from fastatt.tracing.operations import OPERATIONS
 
 _DEPTH = 5  # operations nested in one expression
 _LENGTH = 80  # characters of an expression beyond which it gets a separate line
-# operations that are not calls of functions
-_FORMS = {
-    "fma": "{0} * {1} + {2}",
-    "fms": "{0} * {1} - {2}",
-    "fnma": "{2} - {0} * {1}",
-    "neg": "-{0}",
-    "and": "{0} & {1}",
-    "or": "{0} | {1}",
-    **{op: f"{{0}} {op} {{1}}" for op in ("+", "-", "*", "/", *COMPARISONS)},
-}
 
 
 class GraphText:
@@ -63,8 +54,8 @@ class GraphText:
 def _text(node: Node, given: Sequence[str]) -> str:
     """An operation as an expression of its operands."""
     op, args = node.op, node.args
-    if op in _FORMS:
-        text = _FORMS[op].format(*(f"({x})" for x in given))
+    if op in OPERATIONS and OPERATIONS[op].text:
+        text = OPERATIONS[op].text.format(*(f"({x})" for x in given))
         return ast.unparse(ast.parse(text))  # without needless brackets
     if op in ("item", "element"):
         return f"{given[0]}[{args[1]}]"
@@ -75,7 +66,7 @@ def _text(node: Node, given: Sequence[str]) -> str:
         given = [str(args[0]), *given]
     elif op == "opaque":
         op = re.sub(r"\W", "_", getattr(args[0], "name", op))
-    name = {"cast": node.kind, "select": "where", "not": "logical_not"}.get(op, op)
+    name = {"cast": node.precision, "select": "where", "not": "logical_not"}.get(op, op)
     return f"{name}({', '.join(given)})"
 
 
@@ -90,12 +81,14 @@ def function(flat: Flat, tables: Mapping[Any, Any] | None = None) -> Callable[..
     def call(*given: Any) -> tuple[Any, ...]:
         # NumPy scalars divide by 0 and overflow as arrays do
         values = [np.asarray(x)[()] for x in given]
-        kind = np.result_type(np.float32 if values else np.float64, *values).type
-        made = performed(flat.nodes, values, functools.partial(evaluated, tables=tables, kind=kind))
+        scalar = np.result_type(np.float32 if values else np.float64, *values).type
+        made = performed(
+            flat.nodes, values, functools.partial(evaluated, tables=tables, scalar=scalar)
+        )
         results = [made[i] for i in flat.results]
         if all(isinstance(x, (float, int)) and not isinstance(x, np.generic) for x in given):
             return tuple(map(float, results))
-        return tuple(kind(x) if type(x) is float else x for x in results)
+        return tuple(scalar(x) if type(x) is float else x for x in results)
 
     return call
 
@@ -112,13 +105,15 @@ def performed(
     return made
 
 
-def evaluated(node: Node, given: Sequence[Any], tables: Any = None, kind: Any = np.float64) -> Any:
-    """The value of an operation of arrays or numbers; constants have a kind or that of others."""
+def evaluated(
+    node: Node, given: Sequence[Any], tables: Any = None, scalar: Any = np.float64
+) -> Any:
+    """The value of an operation of arrays or numbers; constants are ``scalar``."""
     op, args = node.op, node.args
     if op == "const":
         return args[0]
     if op == "select" or all(type(x) is float for x in given):
-        given = [kind(x) if type(x) is float else x for x in given]
+        given = [scalar(x) if type(x) is float else x for x in given]
     if op in ("item", "element"):
         return given[0][args[1]]
     if op == "gather":
@@ -131,28 +126,15 @@ def evaluated(node: Node, given: Sequence[Any], tables: Any = None, kind: Any = 
     if op == "lane":
         return given[0][..., args[0]]
     if op == "cast":
-        return {"double": np.float64, "single": np.float32}[node.kind](given[0])
+        return {"double": np.float64, "single": np.float32}[node.precision](given[0])
     if op == "opaque":
         boxes = np.broadcast_arrays(*given)
         rows = [args[0](*map(float, x)) for x in zip(*map(np.ravel, boxes), strict=True)]
         return np.reshape(np.transpose(rows), (args[1], *boxes[0].shape))
-    return (_OPERATIONS.get(op) or getattr(np, op))(*given)
+    return OPERATIONS[op].array(*given)
 
 
 def _taken(data: Any, index: Any) -> Any:
     """The number of an array at a whole index, or the nearest that it has."""
     table = np.ravel(data)
     return table[np.clip(np.nan_to_num(index), 0, table.size - 1).astype(np.int64)]
-
-
-_OPERATIONS: dict[str, Callable[..., Any]] = {
-    "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "neg": np.negative,
-    "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "==": np.equal,
-    "!=": np.not_equal, "and": np.logical_and, "or": np.logical_or, "not": np.logical_not,
-    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
-    "//": np.floor_divide, "%": np.mod, "pow": np.power, "larger": np.maximum,
-    "fma": lambda a, b, c: a * b + c, "fms": lambda a, b, c: a * b - c,
-    "fnma": lambda a, b, c: c - a * b, "select": lambda *given: np.asarray(np.where(*given))[()],
-    "min": lambda a, b: np.where(b < a, b, a), "max": lambda a, b: np.where(b > a, b, a),
-    "remainder": lambda x, y: x - np.rint(x / y) * y,
-}  # fmt: skip

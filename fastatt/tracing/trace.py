@@ -17,8 +17,8 @@ from typing import Any
 from fastatt._numba import CPUDispatcher
 from fastatt.tracing import functions, graph
 from fastatt.tracing.frozen import Freezer, guarded
-from fastatt.tracing.mathematics import EXTREMES, kind_of
 from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.operations import OPERATIONS, own_type_of
 from fastatt.tracing.replacements import replaced
 from fastatt.tracing.rewriting import rewritten
 
@@ -29,8 +29,9 @@ def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
     return graph.choose(test, yes(), no())
 
 
+_EXTREMES = {op: OPERATIONS[op].traced for op in ("min", "max")}
 _SCOPE = {
-    "__builtins__": {**vars(builtins), "type": kind_of, **EXTREMES},
+    "__builtins__": {**vars(builtins), "type": own_type_of, **_EXTREMES},
     "__choose__": _choose,
 }
 

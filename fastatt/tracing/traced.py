@@ -1,6 +1,6 @@
 """Formulas for arguments of given forms, as graphs.
 
-The form of a number is its kind; that of a tuple is its class with the forms of its parts.
+The form of a number is its precision; that of a tuple is its class with the forms of its parts.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ class Traced(NamedTuple):
 
 
 def trace(
-    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, kind: str = "", *,
+    formula: Callable[..., Any], forms: Sequence[Any], widest: int = WIDEST, precision: str = "", *,
     native: bool = False,
 ) -> Traced:  # fmt: skip
     """Trace a formula for arguments of given forms; with ``widest`` 0 without lanes for directions.
 
-    ``kind`` is that of all results; by default each result has its own kind. ``native`` is that of
-    the graph.
+    ``precision`` is that of all results; by default each result has its own. ``native`` is that
+    of the graph.
     """
     constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
     graph, places, numbers = Graph(widest, native=native), itertools.count(), list[Any]()
     found = formula(*(_inputs(graph, form, places) for form in forms))
     form = _result(found, constants, numbers)
-    kinds = ["double" if own == "truth" else own for own in flattened_forms((form,))]
-    flat = Flat(graph, numbers, kind or kinds)
+    precisions = ["double" if own == "truth" else own for own in flattened_forms((form,))]
+    flat = Flat(graph, numbers, precision or precisions)
     asked = (
         node.args[1 if node.op == "in" else 0]
         for node in flat.nodes
@@ -67,7 +67,7 @@ def trace(
 
 
 def flattened_forms(forms: Sequence[Any]) -> Iterator[str]:
-    """The kinds of the numbers of given forms, in order."""
+    """The precisions of the numbers of given forms, in order."""
     for form in forms:
         if isinstance(form, Tuple):
             yield from flattened_forms(form.parts)
@@ -92,7 +92,7 @@ def _result(x: Any, constants: str, numbers: list[Any]) -> Any:
         return "truth"
     if isinstance(x, Number):
         numbers.append(x)
-        return x.kind
+        return x.precision
     if isinstance(x, (float, int, np.number)):
         numbers.append(float(x))
         return constants

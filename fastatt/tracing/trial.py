@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import Node, TraceError, operands
+from fastatt.tracing.operations import AT_ENDS, OPERATIONS
 from fastatt.tracing.paths import Followed
 from fastatt.tracing.source import evaluated
 
@@ -23,16 +23,6 @@ _TOLERANCE = 1e-9
 _USUAL, _POINTS, _FIRST = 8, 512, 4
 #: numbers beyond which no condition is tried
 _LARGEST = 1e100
-#: the smallest and the largest result of operations
-_BOUNDS = {
-    "sin": (-1.0, 1.0), "cos": (-1.0, 1.0), "atan2": (-math.pi, math.pi), "acos": (0.0, math.pi),
-    "asin": (-2.0, 2.0), "sqrt": (0.0, _LARGEST), "hypot": (0.0, _LARGEST),
-}  # fmt: skip
-#: operations whose extremes are where arguments are extreme or zero
-_MONOTONE = (
-    "+", "-", "*", "/", "//", "neg", "abs", "floor", "ceil", "trunc", "rint", "tanh", "sign",
-    "atan", "exp", "min", "max", "minimum", "maximum", "pow", "select", "<", "<=", ">", ">=",
-)  # fmt: skip
 
 
 class Arguments(NamedTuple):
@@ -138,8 +128,6 @@ def _possible(followed: Followed, given: Arguments) -> set[tuple[int, bool]]:
 def _range(node: Node, known: dict[int, Range], given: Arguments) -> Range:
     """The smallest and the largest value of an operation; 0 is no and 1 is yes."""
     of = [known[i] for i in operands(node)]
-    if node.op in ("==", "!="):
-        return 0.0, 1.0
     if node.op == "in" and 0 < node.args[0] <= given.unit:
         return -1.0, 1.0
     if node.op in ("const", "gather"):
@@ -148,8 +136,9 @@ def _range(node: Node, known: dict[int, Range], given: Arguments) -> Range:
     if node.op in ("%", "fmod"):
         size = max(-of[1][0], of[1][1])
         return -size * (node.op == "fmod" or of[1][0] <= 0.0), size
-    if node.op not in _MONOTONE:
-        return _BOUNDS.get(node.op, (-_LARGEST, _LARGEST))
+    bounds = OPERATIONS[node.op].bounds if node.op in OPERATIONS else (-_LARGEST, _LARGEST)
+    if bounds is not AT_ENDS:
+        return max(bounds[0], -_LARGEST), min(bounds[1], _LARGEST)
     # the signs of zero give both ends of a quotient
     ends = [(*x, -0.0, 0.0) if x[0] <= 0.0 <= x[1] else x for x in of]
     is_same = len({*operands(node)}) == 1

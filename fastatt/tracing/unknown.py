@@ -10,16 +10,14 @@ import numpy as np
 
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.kept import Table
-from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.nodes import COMPARISONS, TraceError
+from fastatt.tracing.operations import OPERATIONS
 
 #: operations beyond which a function is called, since LLVM compiles more in minutes
 MOST_OPERATIONS, MOST_ASKED = 5000, 200
-#: about how many operations of a processor a function takes, if more than one
-_COSTS = (
-    dict.fromkeys(["sin", "cos", "tan", "atan2", "atan", "asin", "acos", "look"], 45)
-    | dict.fromkeys(["exp", "log", "tanh", "sinh", "cosh", "log2", "log10", "//", "%", "fmod"], 20)
-    | dict.fromkeys(("const", "in", "item"), 0)
-)
+#: about how many operations of a processor each takes
+_COSTS = {op: x.cost for op, x in OPERATIONS.items()}
+_COSTS |= {"const": 0, "in": 0, "item": 0, "look": 45, "gather": 1}
 
 
 class Recorder:
@@ -48,7 +46,7 @@ class Recorder:
     def add(self, op: str, *args: Any) -> int:
         """The number of an operation, which is added if it is new."""
         n, at = len(self.nodes), self._graph.add(op, "", *args)
-        self._cost += _COSTS.get(op, 1) * (len(self.nodes) - n)
+        self._cost += _COSTS[op] * (len(self.nodes) - n)
         if self._cost > MOST_OPERATIONS:
             raise TraceError(f"more than {MOST_OPERATIONS} operations")
         return at
@@ -213,9 +211,9 @@ class Unknown:
     __reduce_ex__ = _wanted("to copy it")
 
 
-_NAMES = {"+": "add", "-": "sub", "*": "mul", "/": "truediv", "//": "floordiv", "%": "mod"}
-for _op, _name in _NAMES.items():
+for _op in ("+", "-", "*", "/", "//", "%"):
+    _name = OPERATIONS[_op].traced.__name__
     setattr(Unknown, f"__{_name}__", _binary(_op))
     setattr(Unknown, f"__r{_name}__", _binary(_op, turned=True))
-for _op, _name in {"<": "lt", "<=": "le", ">": "gt", ">=": "ge", "==": "eq", "!=": "ne"}.items():
-    setattr(Unknown, f"__{_name}__", _compare(_op))
+for _op in COMPARISONS:
+    setattr(Unknown, f"__{OPERATIONS[_op].traced.__name__}__", _compare(_op))

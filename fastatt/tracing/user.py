@@ -197,13 +197,16 @@ class UserFunction:
         is_row = isinstance(result, (tuple, list))
         parts = [result] if not states else list(result) if is_row else []
         found = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
-        row, kinds = [x for part in found for x in part], (Unknown, float, int, np.number, np.bool_)
-        if [*map(len, found)] != sizes or not all(isinstance(x, kinds) for x in row):
+        row, scalars = (
+            [x for part in found for x in part],
+            (Unknown, float, int, np.number, np.bool_),
+        )
+        if [*map(len, found)] != sizes or not all(isinstance(x, scalars) for x in row):
             length = f" of {len(result)}" if isinstance(result, (tuple, list, np.ndarray)) else ""
-            kind = "float" if isinstance(result, Unknown) else type(result).__name__
+            name = "float" if isinstance(result, Unknown) else type(result).__name__
             with_states = f", and a tuple of {states}, the time derivatives of s" if states else ""
             raise RefusedError(
-                f"a result that is {kind}{length}; accepted: {sizes[0]} numbers, "
+                f"a result that is {name}{length}; accepted: {sizes[0]} numbers, "
                 f"{self.form.unit}{with_states}"
             )
         return row

@@ -176,7 +176,7 @@ def check_convergence(
     """
     ensemble = Ensemble.of(as_scene(scene), q0, w0, v0, r0, s0)
     record = method_of(scene, method, representation)
-    kind = checks.precision(dtype, q0, w0, v0, r0, s0).name
+    precision = checks.precision(dtype, q0, w0, v0, r0, s0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
     if scene.sampling is not None and abs(step) > scene.sampling.period * (1.0 + 1e-9):
@@ -186,7 +186,7 @@ def check_convergence(
         )
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
     rows = spread(whole, checks.whole("sample", sample, 1), np.random.default_rng(0))
-    case = Case(record, representation, kind)
+    case = Case(record, representation, precision)
     ladder = Ladder(whole.take(rows), case, count, times_compared(rows.size))
     declared = record.order_of(scene.kind)
     order = _order_of(ladder, declared)

@@ -136,9 +136,9 @@ SCENES = tuple(_ENSEMBLES)
 
 def study(name: str, n_bodies: int) -> Study:
     """The ensemble of a name in ``SCENES``, with a confirmed reference."""
-    kind, bodies = OfSamples if name == SAMPLES else Study, problem(name, n_bodies)
+    study, bodies = OfSamples if name == SAMPLES else Study, problem(name, n_bodies)
     title = f"{bodies.ensemble.size} {_ENSEMBLES[name][0]}"
-    return kind.of(name, title, bodies, _REPEATS)
+    return study.of(name, title, bodies, _REPEATS)
 
 
 def problem(name: str, n_bodies: int) -> Problem:

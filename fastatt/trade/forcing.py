@@ -122,9 +122,9 @@ def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np
     """Rates, or accelerations by torques and forces, (S, N, 3), at t, q, w, v, r, s (S, N, k)."""
     packed = problem.ensemble.scene.packed(problem.ensemble.size)
     structure = packed.structure
-    names = ["rate" if isinstance(structure.turning, PrescribedRate) else "torque"]
+    names = ["rate" if isinstance(structure.rotation, PrescribedRate) else "torque"]
     names += [] if structure.force is None else ["force"]
-    n = structure.turning.law.states
+    n = structure.rotation.law.states
     inputs = {"t": None, "q": 4, "w": 3, "v": 3, "r": 3, "s": n, "p": structure.n_params}
     formula = rows(
         partial(_formula, structure), inputs, (3,) * len(names), key=(_formula, structure)
@@ -136,14 +136,14 @@ def _acting(problem: Problem, path: NDArray[np.float64]) -> dict[str, NDArray[np
 
 
 def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: Any, p: Any) -> Any:
-    turning, n = structure.turning, structure.turning.n_params
+    rotation, n = structure.rotation, structure.rotation.n_params
     r = r if structure.position else ()
     params, q = p[:n], quat.normalise(q)
     accelerations = []
-    if isinstance(turning, PrescribedRate):
-        accelerations.append(turning.law.formula(t, params, states=s)[:3])
+    if isinstance(rotation, PrescribedRate):
+        accelerations.append(rotation.law.formula(t, params, states=s)[:3])
     else:
-        motion, attitude, rate = Body(QUATERNION, turning, params, q[0]), q, w
+        motion, attitude, rate = Body(QUATERNION, rotation, params, q[0]), q, w
         if motion.axes is not None:
             attitude, rate = quat.mul(q, motion.axes), quat.rotate_inverse(motion.axes, w)
         torque = motion.torque(t, attitude, rate, CoupledStates(v, r, s))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt._cached import cached_property
-from fastatt.closed_form import form_of
+from fastatt.closed_form import solution_of
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import breaks_within
 from fastatt.propagation.choice_of_method import methods_for
@@ -132,7 +132,7 @@ def reference(
     """
     scene = problem.ensemble.scene
     if method is None and problem.ensemble.w0 is not None and "exact" in methods_for(scene):
-        gained = form_of(scene).gain * abs(problem.duration)
+        gained = solution_of(scene).gain * abs(problem.duration)
         angle = np.hypot(speeds(problem) * abs(problem.duration), gained)
         error = 2.0 * _EPS * (1.0 + angle)
         return Reference(problem, Case("exact"), 1, "the closed form", error)

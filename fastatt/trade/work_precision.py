@@ -16,7 +16,7 @@ from fastatt.attitudes import ATTITUDES
 from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import fits, methods_for
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.propagation.options import after
+from fastatt.propagation.schedule import after
 from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import measure

@@ -140,7 +140,7 @@ def test_an_arm_computes_on_whole_vectors(arm, dtype, lanes):
     assembly = arm(texts(job)[0])
     steps = max(innermost_loops(assembly), key=len)
     fused = [match[1] for line in steps if (match := re.match(r"\tfml[as]\tv\d+\.(\w+)", line))]
-    wanted = [node.op for node in job.formulas.small_angle.nodes]
+    wanted = [node.op for node in job.small_angle.nodes]
     assert len(fused) == sum(op in ("fma", "fms", "fnma") for op in wanted)
     assert set(fused) == {lanes}
     # nothing is left for single numbers: what all bodies share stands before the loop

@@ -18,7 +18,7 @@ from oracle import EPS
 
 from fastatt.codegen.scalar import scalar_function
 from fastatt.kernels import quat as kernels
-from fastatt.tracing import dual, functions, graph, nodes
+from fastatt.tracing import dual, functions, graph, operations
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import axpy, quat, rigid, scale, so3
 from fastatt.tracing.graph import Graph
@@ -197,7 +197,7 @@ def test_a_formula_that_is_dropped_is_released():
 def test_functions_of_the_c_library():
     def formula(x):
         e = graph.apply("exp", x)
-        return reduce(lambda s, name: s + graph.apply(name, 0.1 * x), nodes.LIBRARY[1:], e)
+        return reduce(lambda s, name: s + graph.apply(name, 0.1 * x), operations.LIBRARY[1:], e)
 
     made = scalar_function(formula)
 
@@ -205,7 +205,7 @@ def test_functions_of_the_c_library():
     def user(x):
         return made(x)
 
-    true = math.exp(0.7) + sum(getattr(math, name)(0.07) for name in nodes.LIBRARY[1:])
+    true = math.exp(0.7) + sum(getattr(math, name)(0.07) for name in operations.LIBRARY[1:])
     for found in (user(0.7), made(0.7)):
         assert abs(found - true) <= 8 * EPS
     assert abs(user(SINGLE(0.7)) - true) <= 8 * np.finfo(SINGLE).eps

@@ -47,7 +47,7 @@ def run(scene, rows=slice(None), q0=Q0, **options):
 
 
 def alike(scene, method, n=N):
-    return fa.plan(scene, n, method=method, **TURN).job.alike
+    return fa.plan(scene, n, method=method, **TURN).program.job.alike
 
 
 @pytest.mark.parametrize(("name", "method"), CASES)
@@ -99,7 +99,7 @@ def test_what_is_alike_is_worked_on_once(monkeypatch):
     found = {}
     for many in (64, N + 1):
         monkeypatch.setattr(plan_module, "_MANY", many)
-        found[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).job)
+        found[many] = vectors_of(fa.plan(SCENES["orbit"], N, method="rk4", **TURN).program.job)
     (few, turns), (more, sines) = found[64], found[N + 1]
     assert few < more - 100  # a sine and a cosine, and what turns by them
     assert turns == 0 < sines  # no angle is less whole turns in any lane

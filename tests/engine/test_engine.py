@@ -258,7 +258,7 @@ def test_bodies_run_on_several_threads(monkeypatch):
         if threading.get_ident() not in seen:
             seen.add(threading.get_ident())
             barrier.wait()
-        real(*args)
+        return real(*args)
 
     monkeypatch.setattr(Run, "perform", watched)
     bodies = generic(640)

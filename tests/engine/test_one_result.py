@@ -13,7 +13,7 @@ import pytest
 from ways import DT, OWN, Q0, RATE, RNG, STEPS, TORQUED, W0, WAYS, N, given
 
 import fastatt as fa
-from fastatt.propagation import execute
+from fastatt.propagation import plan as plans
 
 STEPPED = [way for way, (_, options) in WAYS.items() if options["method"] != "exact"]
 ways, stepped = (pytest.mark.parametrize("way", x) for x in (WAYS, STEPPED))
@@ -131,7 +131,7 @@ def test_a_resumed_run_is_the_whole_one(way, tmp_path):
 @ways
 def test_parts_are_the_whole(way, monkeypatch):
     whole = of(run(way, save_every=32))
-    monkeypatch.setattr(execute, "PART", 64)
+    monkeypatch.setattr(plans, "PART", 64)
     assert of(run(way, save_every=32)) == whole
 
 
@@ -147,7 +147,7 @@ def test_steps_of_each_bodys_own(way, monkeypatch):
         own = {**steps, "dt": steps["dt"][b], "n": int(counts[b])}
         assert of(run(way, rows, **own)) == of(together, rows)
     assert of(run(way, n_threads=3, **steps)) == of(together)
-    monkeypatch.setattr(execute, "PART", 64)
+    monkeypatch.setattr(plans, "PART", 64)
     assert of(run(way, **steps)) == of(together)
 
 

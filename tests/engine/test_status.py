@@ -14,7 +14,6 @@ from numba import njit
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
-from fastatt.propagation import limits
 from fastatt.scene.torque_record import fastest_decay
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -345,9 +344,9 @@ def test_the_usual_angles_are_those_without_advice(options, dtype):
     scene = fa.Scene(rate=fa.rates.Constant((0, 0, 1))) if given.pop("rate", 0) else FREE
     method = "rk4" if scene is FREE else "lie_euler"
     plan = fa.plan(scene, 1, dt=0.1, n_steps=1, method=method, dtype=dtype, **given)
-    least, most = plan.usual_angles
+    least, most = plan.limits.usual
     for angle in (*np.geomspace(1e-20, 1e20, 81), 1.01 * most, 0.99 * most):
-        assert (limits._advice(plan, np.array([angle])) == "") == (least <= angle <= most)
+        assert (plan.limits._advice(np.array([angle])) == "") == (least <= angle <= most)
 
 
 @pytest.mark.parametrize("method", ["strang2", "kahan_li8"])

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from fastatt.engine import tape
-from fastatt.engine.tape import UNBROKEN, Action, Breaks, Saves, Steps, legs_of
+from fastatt.engine.tape import UNBROKEN, Action, Breaks, Steps, legs_of
 
 MANY = 1 << 40
 
 
 def saves_at(*times):
-    return Saves(np.array(times, dtype=float), 1e-14 * np.abs(np.array(times, dtype=float)))
+    return np.array(times, dtype=float), 1e-14 * np.abs(np.array(times, dtype=float))
 
 
 def breaks_at(*times, jumps=()):
@@ -133,12 +133,12 @@ def test_events_look_where_legs_begin():
     """At the values, and on a copy at those in the middle of the step."""
     middle = ["CLOCK 0.25 0", "ENTER 0", "STEPS 0 1", "MIDDLE 1", "JOIN"]
     first = ["LOOK 0", "FORK", "LEAVE 0", *middle]
-    assert whole(legs_of(0.5, 2), saves_at(1.0), watched=True) == [
+    assert whole(legs_of(0.5, 2), saves_at(1.0), has_events=True) == [
         "CLOCK 0.5 0", "START", "RESTORE", *first, "CLOCK 0.5 0", "STEPS 0 2", "SAVE 2 0", "STATUS",
     ]  # fmt: skip
-    actions = whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(1.0), watched=True)
+    actions = whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(1.0), has_events=True)
     assert [x for x in actions if x.startswith("LOOK")] == ["LOOK 0"] * 3
-    resumed = {"watched": True, "resumes": True, "done": 1}
+    resumed = {"has_events": True, "resumes": True, "done": 1}
     known = whole(legs_of(0.5, 2), saves_at(1.0), new=False, **resumed)
     assert known[:3] == ["CLOCK 0.5 0", "START", "RESTORE"]
     assert "LOOK 1" not in known

@@ -161,7 +161,7 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
     monkeypatch.setattr(Body, "torque", counting("evaluations", Body.torque))
     monkeypatch.setattr(Turning, "turned", counting("turns", Turning.turned))
     packed = SCENES[kind].packed(None, sorted_axes=record.sorted_axes)
-    formulas = Job(record, QUATERNION, packed.structure).formulas
+    formulas = Job(record, QUATERNION, packed.structure)
     assert formulas.small_angle.results
     assert max(1, len(record.stages)) * counts["evaluations"] == record.rate_calls
     assert kind != "rate" or counts["turns"] == record.exponentials

@@ -80,10 +80,10 @@ def test_what_a_torque_makes_of_time_does_not_widen_the_state():
     """A direction that turns with time is rotated in single precision."""
     field = fa.torques.Sum((fa.torques.GravityGradient(0.5), fa.torques.Damping(0.02)))
     job = job_of(fa.Scene(inertia=(2.0, 1.0, 0.7), torque=field), "rk4", "quat", np.float32)
-    flat = job.formulas.small_angle
+    flat = job.small_angle
     moving = {i for i, node in enumerate(flat.nodes) if node.args[:1] == ("x",)}
     for i, node in enumerate(flat.nodes):
         if moving & set(operands(node)):
             moving.add(i)
     assert len(moving) > 100
-    assert {flat.nodes[i].kind for i in moving} <= {"single", ""}
+    assert {flat.nodes[i].precision for i in moving} <= {"single", ""}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import fastatt as fa
-from fastatt.propagation.options import FORBIDDEN
+from fastatt.propagation.schedule import FORBIDDEN
 
 PAGE = Path(fa.__file__).parent / "docs" / "reference" / "propagation.md"
 FREE = fa.Scene(inertia=(2.0, 1.0, 0.7))

@@ -12,7 +12,7 @@ import pytest
 import fastatt as fa
 from fastatt.codegen import lanes
 from fastatt.engine import program as programs
-from fastatt.engine.job import Formulas
+from fastatt.engine.job import Job
 
 BODY = (2.0, 1.0, 2.0 / 3.0)
 SCENES = {
@@ -85,7 +85,7 @@ def test_new_numbers_compile_nothing(monkeypatch, inertia):
 def test_other_steps_trace_nothing(monkeypatch, kind):
     scene, options = SCENES[kind], {"method": "magnus4" if kind == "rate" else "rk4"}
     fa.propagate(scene, Q0, *rates_of(scene), dt=0.05, n_steps=3, **options)
-    monkeypatch.setattr(Formulas, "scope", lambda *_, **__: pytest.fail("traced"))
+    monkeypatch.setattr(Job, "scope", lambda *_, **__: pytest.fail("traced"))
     run = fa.propagate(scene, Q0, *rates_of(scene), t0=1.0, dt=0.025, n_steps=4, **options)
     assert run.t[-1] == 1.1
 

@@ -23,11 +23,10 @@ from exact import RALSTON3
 from test_plan import BODY, OWN, Q0, RNG, SCENES, W0, bits, rates_of, swing
 
 import fastatt as fa
-from fastatt.engine import pool
 from fastatt.engine import run as engine_run
-from fastatt.engine.pool import CALLING_LENGTH, InterruptedRun
-from fastatt.engine.tape import Action
-from fastatt.propagation import end, execute, histories
+from fastatt.engine.tape import CALLING_LENGTH, Action
+from fastatt.propagation import end, output, plan
+from fastatt.propagation.output import InterruptedRun
 
 UNFINISHED = fa.Status.UNFINISHED
 MANY = 200  # bodies, three tiles and a part of one
@@ -111,7 +110,7 @@ def test_from_a_file(tmp_path):
     # but for what the saves between them told: the largest norm error, and of invariants
     ends = [run.end.arrays["states"][:, :-3].tobytes() for run in (second, whole)]
     assert ends[0] == ends[1]
-    assert second.end.about["done"] == 9
+    assert second.end.options["done"] == 9
 
 
 def test_what_went_wrong_is_remembered():
@@ -257,10 +256,10 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 import fastatt as fa
-from fastatt.engine import pool
-from fastatt.propagation import end, execute
+from fastatt.engine import run
+from fastatt.propagation import end
 
-execute._WRITTEN, pool._OPERATIONS, pool._SECONDS = 0.0, 1, 0.0  # always, after each block
+end._WRITTEN, run._OPERATIONS, run._SECONDS = 0.0, 1, 0.0  # always, after each block
 folder, name = sys.argv[1:]
 rng = np.random.default_rng(7)
 q, w = rng.normal(size=(5, 4)), rng.normal(size=(5, 3))
@@ -268,7 +267,7 @@ save = end.End.save
 
 
 def killed_in_a_file(state, path):
-    if state.about["done"] == 512:
+    if state.options["done"] == 512:
         with open(str(path) + "-torn", "wb") as file:
             file.write(b"half")
         os.kill(os.getpid(), signal.SIGKILL)
@@ -301,7 +300,7 @@ def test_killed_and_resumed(name, tmp_path):
     rng = np.random.default_rng(7)
     q, w = rng.normal(size=(5, 4)), rng.normal(size=(5, 3))
     free, path = SCENES["free"], tmp_path / name
-    done = end.loaded(path).about["done"]
+    done = end.loaded(path).options["done"]
     assert 0 < done < 512
     saves = {"save_every": 3} if name == "saves" else {}
     whole = fa.propagate(free, q, w, n_steps=640, **saves, **RK4)
@@ -313,21 +312,21 @@ def test_killed_and_resumed(name, tmp_path):
         before = np.load(tmp_path / "history.npy")[: 1 + done // 3]
         assert before[..., :4].tobytes() == whole.q[: 1 + done // 3].tobytes()
     # what is over is not done again
-    assert end.loaded(path).about["done"] == 640
+    assert end.loaded(path).options["done"] == 640
     assert fa.resume(free, path, t_end=32.0).q.tobytes() == whole.q[-1:].tobytes()
 
 
 def test_checkpoints_on_the_way(tmp_path, monkeypatch):
     """With saves in memory; the last is before a shorter step."""
-    monkeypatch.setattr(execute, "_WRITTEN", 0.0)
-    monkeypatch.setattr(pool, "_OPERATIONS", 1)
-    monkeypatch.setattr(pool, "_SECONDS", 0.0)
+    monkeypatch.setattr(end, "_WRITTEN", 0.0)
+    monkeypatch.setattr(engine_run, "_OPERATIONS", 1)
+    monkeypatch.setattr(engine_run, "_SECONDS", 0.0)
     free, path = SCENES["free"], tmp_path / "job"
     saves = {"save_every": 7, **RK4}
     whole = fa.propagate(free, Q0, W0, t_end=40.02, **saves)
     run = fa.propagate(free, Q0, W0, t_end=40.02, checkpoint=path, **saves)
     assert bits(run) == bits(whole)
-    assert end.loaded(path).about["done"] == 768
+    assert end.loaded(path).options["done"] == 768
     rest = fa.resume(free, path, t_end=40.02)
     assert rest.t.tolist() == [40.02]
     assert rest.q.tobytes() == whole.q[-1:].tobytes()
@@ -369,17 +368,17 @@ def test_wrong_files(tmp_path):
 
 
 def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
-    monkeypatch.setattr(histories, "_LITTLE", 1000)
-    monkeypatch.setattr(histories, "_available", lambda: 16_000)
+    monkeypatch.setattr(output, "_LITTLE", 1000)
+    monkeypatch.setattr(output, "_available", lambda: 16_000)
     options = {"n_steps": 49, "save_every": 1, **RK4}
     told = "save_every: 50 saves of 5 bodies take 1.6e-05 GB, of 1.6e-05 GB of free memory"
     assert fa.propagate(SCENES["free"], Q0, W0, **options).t.size == 50
-    monkeypatch.setattr(histories, "_available", lambda: 15_999)
+    monkeypatch.setattr(output, "_available", lambda: 15_999)
     with pytest.raises(MemoryError, match=told):
         fa.propagate(SCENES["free"], Q0, W0, **options)
     with pytest.raises(MemoryError, match="1000000000001 saves"):  # not even their numbers
         fa.propagate(SCENES["free"], Q0, W0, **{**options, "n_steps": 10**12})
-    monkeypatch.setattr(histories.shutil, "disk_usage", lambda path: SimpleNamespace(free=15_999))
+    monkeypatch.setattr(output.shutil, "disk_usage", lambda path: SimpleNamespace(free=15_999))
     with pytest.raises(MemoryError, match="of free disk"):
         fa.propagate(
             SCENES["free"], Q0, W0, on_save=fa.to_file(tmp_path / "history.npy"), **options
@@ -389,12 +388,12 @@ def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
 
 @pytest.fixture
 def small_parts(monkeypatch):
-    monkeypatch.setattr(execute, "PART", 64)
+    monkeypatch.setattr(plan, "PART", 64)
 
 
 def in_one(monkeypatch, *args, **options):
     with monkeypatch.context() as patch:
-        patch.setattr(execute, "PART", 1 << 18)
+        patch.setattr(plan, "PART", 1 << 18)
         return caught(*args, **options)
 
 
@@ -426,7 +425,7 @@ def interrupted(monkeypatch, call, action):
     def counted(run, *args):
         if next(calls) >= call:
             action()
-        perform(run, *args)
+        return perform(run, *args)
 
     monkeypatch.setattr(engine_run.Run, "perform", counted)
 
@@ -453,7 +452,7 @@ def test_ctrl_c_keeps_what_is_done(monkeypatch):
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         time.sleep(0.3)  # for all that did not begin to be called off
 
-    monkeypatch.setattr(pool, "_OPERATIONS", 1 << 24)  # several pieces
+    monkeypatch.setattr(engine_run, "_OPERATIONS", 1 << 24)  # several pieces
     rng = np.random.default_rng(1)
     q, w = rng.normal(size=(64 * 32, 4)), rng.normal(size=(64 * 32, 3))
     options = {"n_steps": 10_240, "save_every": 1024, "n_threads": 2, **RK4}
@@ -488,7 +487,7 @@ def test_ctrl_c_is_looked_for_before_a_called_function_took_long(rate, is_called
     def noted(run, tape, rows, first, last):
         steps = tape[tape["action"] == Action.STEPS]
         pieces.append((int((steps["end"] - steps["first"]).sum()), last - first))
-        perform(run, tape, rows, first, last)
+        return perform(run, tape, rows, first, last)
 
     monkeypatch.setattr(engine_run.Run, "perform", noted)
     scene = fa.Scene(rate=rate, params=(0.3,))

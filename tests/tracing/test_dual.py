@@ -12,7 +12,7 @@ import pytest
 from each import each
 from oracle import EPS, quat_exp, right_jacobian
 
-from fastatt.tracing import dual, functions, graph, nodes, source
+from fastatt.tracing import dual, functions, graph, nodes, operations, source
 from fastatt.tracing.dual import Dual, derivatives, seed, value
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import dcm, free_body, kernels, quat, rigid, so3, trig
@@ -44,7 +44,7 @@ IN_MP = {
     "and": lambda a, b: a and b,
     "or": lambda a, b: a or b,
     "not": operator.not_,
-    **{name: getattr(mp, name) for name in nodes.LIBRARY},
+    **{name: getattr(mp, name) for name in operations.LIBRARY},
 }
 
 
@@ -122,7 +122,7 @@ def turned_and_back(u):
 
 
 @each("x", [0.3, -0.7])
-@each("name", nodes.LIBRARY)
+@each("name", operations.LIBRARY)
 def test_functions_of_the_c_library(name, x):
     x = abs(x) if name == "log" else x
     _, slopes, _ = recorded(lambda y: graph.apply(name, y), (x,))
@@ -255,15 +255,15 @@ def test_functions_of_one_number_are_differentiated_once():
 def test_single_precision_stays(lanes):
     made = Graph(lanes)
     a, _ = seed(made.inputs("single", "x", 2), 2)
-    F = a.precision()
+    F = a.own_type()
     assert F is Single
     assert F(0.5) == 0.5
-    assert a.kind == "single"
+    assert a.precision == "single"
     b = F(3.0) * a * a if lanes else a * F(3.0) * a
-    assert {s.kind for s in derivatives(b, 2) if isinstance(s, graph.Number)} == {"single"}
+    assert {s.precision for s in derivatives(b, 2) if isinstance(s, graph.Number)} == {"single"}
     wide = Double(b)
-    assert wide.kind == "double"
-    assert {s.kind for s in derivatives(wide, 2) if isinstance(s, graph.Number)} == {"double"}
+    assert wide.precision == "double"
+    assert {s.precision for s in derivatives(wide, 2) if isinstance(s, graph.Number)} == {"double"}
     _, slopes, _ = recorded(lambda x, y: quat.exp((x, y, x)), (0.5, 0.25), kind="single")
     _, true, _ = recorded(lambda x, y: quat.exp((x, y, x)), (0.5, 0.25))
     assert 0.0 < np.abs(slopes - true).max() <= 4 * np.finfo(np.float32).eps

@@ -542,7 +542,7 @@ def test_precision_and_derivatives_are_those_of_the_call():
     kept = followed(lambda x, y: (x * math.sin(y) + 0.5, x if x > y else y * y)).kept
     graph = Graph()
     flat = Flat(graph, kept.replay(graph.inputs("single", "x", 2)), "single")
-    assert {n.kind for n in flat.nodes} <= {"single", ""}
+    assert {n.precision for n in flat.nodes} <= {"single", ""}
     graph = Graph()
     found = kept.replay(seed(graph.inputs("double", "x", 2), 2))
     rows = [value(x) for x in found] + [d for x in found for d in derivatives(x, 2)]

@@ -1,27 +1,19 @@
-"""The options of a run: its method, its steps and saves, its threads."""
+"""When a run steps and saves."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt._cached import cached_property
-from fastatt.attitudes import Attitude
-from fastatt.engine.events import Event
-from fastatt.engine.tape import Breaks, Legs, legs_of
-from fastatt.methods.method import Method
-from fastatt.propagation.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from fastatt.propagation.end import End
+from fastatt.engine.tape import Breaks, Legs, Times, legs_of
 
 #: saves that are in memory at a time in a run without a history
 RING = 16
@@ -37,23 +29,8 @@ FORBIDDEN = (
 _EPS = float(np.finfo(np.float64).eps)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """How a scene is propagated: its method, representation, and projection.
-
-    The state is projected every ``projection`` steps (never if that is 0), and for output unless
-    ``raw``.
-    """
-
-    method: Method
-    attitude: Attitude
-    projection: int = 0
-    raw: bool = False
-    events: tuple[Event, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
-class Clock:
+class Schedule:
     """The steps and saves of a run that begins after ``done`` steps.
 
     Saves are made after every so many steps, or at the times ``save_at``, or at the end only.
@@ -66,9 +43,10 @@ class Clock:
     #: the time of the end since step 0, s, with slack for its rounding
     duration: float
     rounding: float
-    t0: float = 0.0
     every: int | None = None
+    #: the times of saves, s, and these as ``at``
     save_at: NDArray[np.float64] | None = None
+    saves_at: tuple[Times, Times] | None = None
     done: int = 0
     #: the time of the end, s, if the last step is shorter
     t_end: float | None = None
@@ -96,20 +74,15 @@ class Clock:
         return 1 if self.every is None else -(-self.n_steps // self.every) + 1
 
     @cached_property
-    def since(self) -> NDArray[np.float64]:
-        """Times of the saves since step 0, s."""
-        if self.save_at is not None:
-            return self.save_at - self.t0
+    def at(self) -> tuple[Times, Times]:
+        """Times of the saves since step 0, s, and the slack for their rounding."""
+        if self.saves_at is not None:
+            return self.saves_at
         counts = [] if self.every is None else [*range(self.done, self.end, self.every)]
         with np.errstate(over="ignore"):
-            return np.append(np.array(counts, dtype=np.float64) * self.h, self.duration)
-
-    @cached_property
-    def slack(self) -> NDArray[np.float64]:
-        """The slack for the rounding of ``since``."""
-        if self.save_at is not None:
-            return 16.0 * _EPS * (np.abs(self.save_at) + abs(self.t0))
-        return np.append(16.0 * _EPS * np.abs(self.since[:-1]), self.rounding)
+            since = np.array(counts, dtype=np.float64) * self.h
+            slack = np.append(16.0 * _EPS * np.abs(since), self.rounding)
+            return np.append(since, self.duration), slack
 
     @cached_property
     def batches(self) -> list[tuple[int, int]]:
@@ -117,7 +90,8 @@ class Clock:
 
         The initial save is one more of the first batch.
         """
-        steps = np.ceil((np.abs(self.since) - self.slack) / abs(self.h))
+        since, slack = self.at
+        steps = np.ceil((np.abs(since) - slack) / abs(self.h))
         ends = np.append(np.flatnonzero(np.diff(steps)) + 1, self.saves)
         cuts, least = [0], 1 + RING
         while cuts[-1] < self.saves:
@@ -142,10 +116,19 @@ class Clock:
             raise ValueError(
                 f"dt: {self.end} steps of {self.h} s from {t0} s overflow; accepted: shorter"
             )
-        times = self.since + t0
+        times = self.at[0] + t0
         if self.t_end is not None:
             times[-1] = self.t_end
         return times
+
+    def groups(self, bodies: int, most: int) -> Iterator[tuple[Any, float]]:
+        """Bodies that are run together, by their rows, and their step size."""
+        if self.is_per_body:
+            for h in sorted(np.unique(self.dt).tolist(), key=abs):
+                yield np.flatnonzero(self.dt == h), h
+            return
+        for first in range(0, bodies, most):
+            yield slice(first, min(first + most, bodies)), self.h
 
     def legs(self, h: float, breaks: Breaks) -> Legs:
         """The legs of the steps from step 0 on, of bodies with the step size h, s."""
@@ -155,23 +138,6 @@ class Clock:
         return legs_of(h, int(count), breaks, None if is_whole else self.duration)
 
 
-class RunOptions(NamedTuple):
-    """Options without an effect on the results: threads, progress, saving, resuming."""
-
-    n_threads: int = 1
-    progress: bool = False
-    #: a function that is called with a few saves at a time
-    on_save: Callable[[Trajectory], object] | None = None
-    #: the file that saves are written to
-    file: Path | None = None
-    #: the file that checkpoints are written to
-    checkpoint: Path | None = None
-    #: the end of the run that is resumed
-    resumed: End | None = None
-    #: whether the trajectory holds its end, for ``resume``, if it is small
-    keep_end: bool = False
-
-
 def refuse_pairs(is_given: Mapping[str, bool]) -> None:
     """Raise ``ValueError`` if two options of ``FORBIDDEN`` are given."""
     for first, second, accepted in FORBIDDEN:
@@ -179,11 +145,11 @@ def refuse_pairs(is_given: Mapping[str, bool]) -> None:
             raise ValueError(f"{first}: found with {second}; accepted: {accepted}")
 
 
-def clock_of(
+def schedule_of(
     dt: Any, n_steps: Any = None, t_end: Any = None, save_every: Any = None, save_at: Any = None,
     *, t0: float = 0.0, bodies: int = 1, done: int = 0,
-) -> Clock:  # fmt: skip
-    """The clock of a run of ``bodies``, of which ``done`` steps since time ``t0`` were taken.
+) -> Schedule:  # fmt: skip
+    """The schedule of a run of ``bodies``, of which ``done`` steps since time ``t0`` were taken.
 
     Raises ``ValueError`` and ``TypeError`` for arguments that do not fit.
     """
@@ -205,13 +171,14 @@ def clock_of(
         if is_whole.all():
             end = None
             duration = duration if sizes.size > 1 else float(counts[0] * sizes[0])
+    at = None
     if save_at is not None:
         if not math.isfinite(t0 + duration):
             raise ValueError(f"dt: the run overflows at {t0} + {duration} s; accepted: shorter")
         save_at = _times(save_at, t0, t0 + duration)
-    return Clock(
-        sizes, int(counts.max()) - done, duration, slack, t0, save_every, save_at, done, end
-    )
+        at = save_at - t0, 16.0 * _EPS * (np.abs(save_at) + abs(t0))
+    n_steps = int(counts.max()) - done
+    return Schedule(sizes, n_steps, duration, slack, save_every, save_at, at, done, end)
 
 
 def whole_steps(duration: Any, dt: Any, slack: float) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ middle of the step takes their place.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +24,8 @@ from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
 
 if TYPE_CHECKING:
-    from fastatt.engine.job import Scope
+    from fastatt.engine.job import Job, Scope
 
-#: what a body keeps of each event: the values after the last two steps, or at both ends of the
-#: marked step; the step up to which marks are ignored, and the marked step, both counted from the
-#: end of the piece, and NaN if there are none
-EVENT = ("before", "after", "skip", "mark")
 # evaluations of an extremum, and of a bracket, at most
 _FEW, _MOST = 10, 80
 _SMALLEST = float(np.finfo(np.float64).tiny)
@@ -59,15 +55,18 @@ class Event:
     terminal: bool = False
 
 
-def sizes(events: Sequence[Event], size: int, extras: int) -> dict[str, int]:
+def groups(job: Job) -> dict[str, int]:
     """The rows that a body needs for its events: how many of each group.
 
-    ``size`` numbers are the stepped variables, ``extras`` those that the method prepared.
+    The state before the last step, and before the marked step of each event, with what the method
+    prepared; of each event the values after the last two steps, or at both ends of the marked step;
+    the step up to which marks are ignored and the marked step, both counted from the end of the
+    piece, NaN if there are none; the largest angle before the last step; values in the middle.
     """
-    n = len(events)
+    n = len(job.events)
     return {
-        "last": size * (n > 0), "marked": (size + extras) * n, "event": len(EVENT) * n,
-        "held": int(n > 0), "middle": n,
+        "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
+        "after": n, "skip": n, "mark": n, "held": int(n > 0), "middle": n,
     }  # fmt: skip
 
 
@@ -78,23 +77,23 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
     """The functions of the events at a state."""
     structure, p = scope.job.structure, scope.p
     # velocity and position come before the states of the scene
-    states = structure.turning.law.states
+    states = structure.rotation.law.states
     coupled = tuple(map(Double, x[len(x) - structure.coupled :]))
     moved, s = coupled[: len(coupled) - states], coupled[len(coupled) - states :]
-    of_rotation, results = p[: structure.turning.n_params], []
-    for watch in scope.job.events:
+    of_rotation, results = p[: structure.rotation.n_params], []
+    for event in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
-        params = of_rotation[len(of_rotation) - watch.function.n_params :]
+        params = of_rotation[len(of_rotation) - event.function.n_params :]
         # whether it takes velocity and position, not only time, attitude and rate
-        is_placed = len(watch.function.form.before) > 4
+        is_placed = len(event.function.form.before) > 4
         placed = (moved[:3], moved[3:]) if is_placed else ()
-        results.append(scope.called(watch.function.call, t, x, *placed, s, params))
+        results.append(scope.called(event.function.call, t, x, *placed, s, params))
     return results
 
 
 def _now(scope: Scope) -> list[Any]:
-    kind = CLASSES[scope.kind]
-    return [kind(g) for g in values(scope, scope.time(), scope.left_now())]
+    precision = CLASSES[scope.precision]
+    return [precision(g) for g in values(scope, scope.time(), scope.left_now())]
 
 
 def look(scope: Scope) -> Flat:
@@ -102,71 +101,63 @@ def look(scope: Scope) -> Flat:
 
     Values after an earlier step stay, so that a function that jumps across zero crosses there.
     """
-    pairs = zip((event["after"] for event in _events(scope)), _now(scope), strict=True)
+    pairs = zip(_each(scope, "after"), _now(scope), strict=True)
     values = [choose(is_number(after), after, now) for after, now in pairs]
-    return scope.finished((*scope.state(), *values))
+    return scope.finished(last=scope.state(), after=values)
 
 
-def _events(scope: Scope) -> list[dict[str, Any]]:
-    """What a body keeps of each event, by the names in ``EVENT``."""
-    rows = scope.inputs("event", len(EVENT) * len(scope.job.events))
-    return [
-        dict(zip(EVENT, rows[k : k + len(EVENT)], strict=True))
-        for k in range(0, len(rows), len(EVENT))
-    ]
+def _each(scope: Scope, name: str) -> Vector:
+    """The numbers of a group that has one for each event."""
+    return scope.inputs(name, len(scope.job.events))
 
 
 def middle(scope: Scope) -> Flat:
     """The values in the middle of a step."""
-    return scope.finished(tuple(_now(scope)))
+    return scope.finished(middle=_now(scope))
 
 
 def going_on(scope: Scope) -> Any:
     """Whether a body goes on: no terminal event has a mark."""
     goes_on = is_number(scope.graph.input("double", "dt"))  # true
-    for event, watch in zip(_events(scope), scope.job.events, strict=True):
-        goes_on = both(goes_on, negated(is_number(event["mark"]))) if watch.terminal else goes_on
+    for mark, event in zip(_each(scope, "mark"), scope.job.events, strict=True):
+        goes_on = both(goes_on, negated(is_number(mark))) if event.terminal else goes_on
     return goes_on
 
 
 def after_step(scope: Scope) -> Flat:
     """Marks after a step, which record the first one in which each function may cross zero.
 
-    The results are x, then the groups of ``sizes``, then the largest squared angle. A body stays
-    where it was before the step that is marked by a terminal event.
+    A body stays where it was before the step that is marked by a terminal event.
     """
-    watches, n = scope.job.events, scope.formulas.size
-    kind = CLASSES[scope.kind]
-    x, last, e = scope.state(), scope.inputs("last", n), scope.extras()
+    events, n = scope.job.events, scope.job.size
+    x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
     (angle,), (held,) = scope.inputs("angle", 1), scope.inputs("held", 1)
-    step = kind(scope.graph.input("double", "step"))
-    events, marked = _events(scope), scope.inputs("marked", (n + len(e)) * len(watches))
-    marks, goes_on = [is_number(event["mark"]) for event in events], going_on(scope)
-    kept: list[Any] = []
-    places: list[Any] = []
-    stays: list[Any] = [*x]
-    middles = scope.inputs("middle", len(watches))
-    for i, (watch, now) in enumerate(zip(watches, _now(scope), strict=True)):
-        event, middle = events[i], middles[i]
+    step = CLASSES[scope.precision](scope.graph.input("double", "step"))
+    marked = scope.inputs("marked", (n + len(e)) * len(events))
+    goes_on, stays = going_on(scope), [*x]
+    new: dict[str, list[Any]] = {name: [] for name in ("marked", "before", "after", "mark")}
+    names = ("before", "after", "skip", "mark", "middle")
+    kept = zip(*(_each(scope, name) for name in names), _now(scope), strict=True)
+    for i, (event, (before, after, skip, mark, middle, now)) in enumerate(
+        zip(events, kept, strict=True)
+    ):
         # of the parabola through the last values; after a breakpoint of that through the middle
-        before, after = event["before"], event["after"]
         first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * now, before)
-        may_cross = either(crosses(after, now, watch.direction), turns(first, after, now))
-        is_old = either(marks[i], step <= event["skip"])
-        is_new = both(both(may_cross, negated(is_old)), goes_on)
-        is_marked = either(marks[i], is_new)
-        before_step = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
-        place = [choose(is_new, y, z) for y, z in zip((*last, *e), before_step, strict=True)]
-        places += place
-        event["before"] = choose(marks[i], before, after)
-        event["after"] = choose(marks[i], after, now)
-        event["mark"] = choose(is_new, step, event["mark"])
-        kept += event.values()
-        if watch.terminal:
+        may_cross = either(crosses(after, now, event.direction), turns(first, after, now))
+        has_mark = is_number(mark)
+        is_new = both(both(may_cross, negated(either(has_mark, step <= skip))), goes_on)
+        known = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
+        place = [choose(is_new, y, z) for y, z in zip((*last, *e), known, strict=True)]
+        new["marked"] += place
+        new["before"].append(choose(has_mark, before, after))
+        new["after"].append(choose(has_mark, after, now))
+        new["mark"].append(choose(is_new, step, mark))
+        if event.terminal:
+            is_marked = either(has_mark, is_new)
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
-    most = choose(goes_on, angle, held)
-    nothing = [math.nan] * len(watches)
-    return scope.finished((*stays, *stays, *places, *kept, most, *nothing, most))
+    most = (choose(goes_on, angle, held),)
+    nothing = (math.nan,) * len(events)
+    return scope.finished(x=stays, last=stays, **new, held=most, middle=nothing, angle=most)
 
 
 def crosses(a: Any, b: Any, direction: int) -> Any:

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.codegen.rows import RowFunction
-from fastatt.engine.events import EVENT, locate, values
-from fastatt.engine.job import WIDTH, GivenScope, Job
-from fastatt.engine.pool import Pool
+from fastatt.engine.job import GivenScope, Job
+from fastatt.engine.marks import locate, values
 from fastatt.engine.run import Run
 from fastatt.engine.tape import Action, Legs, Piece, Tape
 from fastatt.tracing.formulas import Vector
@@ -21,64 +20,64 @@ from fastatt.tracing.graph import choose
 
 Array = NDArray[Any]
 
+# steps of the shortest piece
+_LEAST = 64
 # points in a step that rounding tells apart, in either precision of the state
-_LEAST = {"double": 2.0**-50, "single": 2.0**-22}
+_POINTS = {"double": 2.0**-50, "single": 2.0**-22}
 
 
-class WatchedRun(Run):
+class RunWithEvents(Run):
     """A run with events.
 
     ``stopped`` are the times at which bodies stopped, NaN of others, and ``final`` their values
     from then on.
     """
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._job, self._layout = self.setup.program.job, self.setup.program.layout
+    def _begin(self) -> None:
+        """Make the states from initial values, before the first tape."""
+        self._program, self._job = self.setup.program, self.setup.program.job
         self._sign, saves = float(np.sign(self.steps.legs["dt"][0])), self.results.saves
         self.stopped, self.final = np.full(saves.shape[1], np.nan), np.zeros_like(saves[0])
-
-    def begin(self) -> None:
-        """Make the states from initial values, before the first tape."""
         self.perform(self.steps.begun(self.t0))
-        self.states[:, self._layout.is_watched] = np.nan
+        self.states[:, self._program.is_of_events] = np.nan
 
-    def resume(self, kept: Mapping[str, Array], *, same_events: bool) -> None:
+    def _resume(self, kept: Mapping[str, Array]) -> None:
         """Go on from what another run kept, of the same events or others."""
-        super().resume(kept, same_events=same_events)
-        if same_events:
-            self.states[:, self._layout.is_watched] = kept["watched"]
+        super()._resume(kept)
+        if "of_events" in kept:
+            self.states[:, self._program.is_of_events] = kept["of_events"]
             for name, values in self._found().items():
                 values[:] = kept[name]
 
     def kept(self) -> dict[str, Array]:
         """Copies of what another run needs to go on from here."""
         found = {name: values.copy() for name, values in self._found().items()}
-        watched = self.states[:, self._layout.is_watched]
-        return {**super().kept(), "watched": watched, **found}
+        of_events = self.states[:, self._program.is_of_events]
+        return {**super().kept(), "of_events": of_events, **found}
 
     def _found(self) -> dict[str, Array]:
         times = self.results.event_times
         return {"event_times": times, "stopped": self.stopped, "final": self.final}
 
-    def _perform_piece(self, piece: Piece, pool: Pool) -> None:
+    def advance(self, piece: Piece) -> None:
         """Perform a piece, again until no body has a false alarm."""
         begun, rounds = self.states.copy(), 0
-        super()._perform_piece(piece, pool)
+        super().advance(piece)
         while (again := self._located(piece, begun)).size:
             rounds += again.size
             self.states[again] = begun[again]
             self.perform(piece.tape, again)
         if 2 * rounds > len(begun):
-            pool.shorten()
+            self._pace = max(self._pace // 4, _LEAST)  # fewer are performed again
         self._save(piece.tape)
         # the next piece counts its steps anew
         self.states[:, self._event("skip")] = np.nan
+        self._read_flags()
 
     def _event(self, name: str) -> slice:
         """The columns of what bodies keep of each event."""
-        first, n = self._layout.rows["event"], self._layout.kept["event"]
-        return slice(first + EVENT.index(name), first + n, len(EVENT))
+        first = self._program.rows[name]
+        return slice(first, first + len(self._job.events))
 
     def _located(self, piece: Piece, begun: Array) -> NDArray[np.int64]:
         """Locate what is marked in a piece; the bodies that have to go on from ``begun`` again.
@@ -94,7 +93,7 @@ class WatchedRun(Run):
             legs, taken = self.steps.step_before(piece.position + marks[rows, i].astype(np.int64))
             times[rows, i], final = self._crossings(i, rows, legs, taken)
             missed = np.isnan(times[rows, i])
-            begun[rows[missed], self._event("skip").start + i * len(EVENT)] = marks[rows[missed], i]
+            begun[rows[missed], self._event("skip").start + i] = marks[rows[missed], i]
             ends[rows[missed], i] = (self.t0 + legs["begin"] + (taken + 1) * legs["dt"])[missed]
             if final is not None:
                 first = ~(self._sign * (self.stopped[rows] - times[rows, i]) <= 0.0) & ~missed
@@ -112,12 +111,12 @@ class WatchedRun(Run):
 
         Next come the values that are saved then, if it is terminal.
         """
-        job, forms, states = self._job, self.setup.program.formulas, self.states[rows]
-        size, watch = forms.size + forms.extras, job.events[i]
-        first = self._layout.rows["marked"] + i * size
-        x, e = np.split(states[:, first : first + size].astype(np.float64), [forms.size], axis=1)
+        job, states = self._job, self.states[rows]
+        size, event = job.size + job.prepared, job.events[i]
+        first = self._program.rows["marked"] + i * size
+        x, e = np.split(states[:, first : first + size].astype(np.float64), [job.size], axis=1)
         p = self.params if len(self.params) == 1 else self.params[rows]
-        after = _after(replace(job, kind="double", width=WIDTH))
+        after = _after(replace(job, precision="double"))
         begin, dt = self.t0 + legs["begin"], legs["dt"]
         since = taken * dt
         t = begin + since
@@ -132,11 +131,11 @@ class WatchedRun(Run):
         before, past = (
             states[:, self._event(name)][:, i].astype(np.float64) for name in ("before", "after")
         )
-        least = np.maximum(_LEAST[job.kind], np.abs(begin / dt + taken) * 2.0**-52)
+        least = np.maximum(_POINTS[job.precision], np.abs(begin / dt + taken) * 2.0**-52)
         with np.errstate(all="ignore"):
-            share = locate(lambda *of: stepped(*of)[0][:, i], before, past, watch.direction, least)
+            share = locate(lambda *of: stepped(*of)[0][:, i], before, past, event.direction, least)
         times = np.where(share == 1.0, begin + (taken + 1) * dt, t + share * dt)
-        if not watch.terminal:
+        if not event.terminal:
             return times, None
         return times, stepped(np.where(np.isnan(share), 1.0, share))[1]
 
@@ -158,25 +157,27 @@ def _after(job: Job) -> RowFunction:
     A row is a body with its stepped variables after some steps of its clock: the time, that since
     the clock began, the step size, the window, and the size of the step.
     """
-    forms, stops = job.formulas, any(watch.terminal for watch in job.events)
+    stops = any(event.terminal for event in job.events)
     stages, ahead = job.method.stages or ((1.0, 1.0, 0.0),), job.method.ahead
 
     def after(x: Vector, p: Vector, e: Vector, clock: Vector) -> Any:
         t, since, dt, low, high, h = clock
-        scope = GivenScope(forms, x, p, (low, high))
+        scope = GivenScope(job, x, p, (low, high))
         t = scope.at(t)
         begun = scope.left(t, scope.span(since), scope.span(ahead * dt), x, e)
-        extras = scope.prepared(scope.span(h), begun)
-        y = scope.entered(t, scope.span(ahead * h), begun, extras)
+        prepared = scope.prepare(scope.span(h), begun)
+        y = scope.entered(t, scope.span(ahead * h), begun, prepared)
         for first, other, node in stages:
-            y, _ = scope.step(t + node * h, scope.span(first * h), scope.span(other * h), y, extras)
-        ended = scope.left(t + h, scope.span(h), scope.span(ahead * h), y, extras)
+            y, _ = scope.step(
+                t + node * h, scope.span(first * h), scope.span(other * h), y, prepared
+            )
+        ended = scope.left(t + h, scope.span(h), scope.span(ahead * h), y, prepared)
         reached = tuple(values(scope, t + h, ended))
         if not stops:
             return reached
         saved = [(*out, error) for out, error in (scope.output(begun), scope.output(ended))]
         return reached, tuple(choose(h == 0.0, y, z) for y, z in zip(*saved, strict=True))
 
-    results = (len(job.events), *[forms.handed_out + 1] * stops)
-    inputs = {"x": forms.size, "p": forms.parameters, "e": forms.extras, "clock": 6}
+    results = (len(job.events), *[job.handed_out + 1] * stops)
+    inputs = {"x": job.size, "p": job.structure.n_params, "e": job.prepared, "clock": 6}
     return RowFunction(after, inputs, results)
