@@ -7,6 +7,10 @@ Bodies turn at constant rates of 6e-3 rad a step, in all directions, so that a m
 none; the angle is known to 40 digits, the length of the quaternion is 1. An exponent is the slope
 of the logarithm of the root mean square over the bodies: 1 where rounding is biased, 0.5 where it
 is random (Brouwer's law). The step is a power of two, so that its products are exact.
+
+The second table is of free bodies and heavy tops that turn by some 4e-3 rad a step, where the
+truncation error is below rounding, against their closed forms. An energy that walks at random makes
+the rate, and with it the angle, drift: its exponent is above 1.
 """
 
 from __future__ import annotations
@@ -23,6 +27,11 @@ import fastatt as fa
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 # steps and bodies of the runs with many bodies, and at most of the long ones
 MANY, BODIES, MOST = (2000, 50, 20_000) if SMALL else (100_000, 10_000, 10**12)
+BODY_STEPS = 4096 if SMALL else 1 << 22
+BODY_METHODS = {
+    "free bodies": ("rk8", "rk9", "kahan_li8", "dmv10"),
+    "heavy tops": ("rk8", "rk9", "kahan_li8"),
+}
 STEP = 1.0 / 128.0
 TURN = 6e-3
 BODY = (2.0, 1.0, 0.7)
@@ -101,6 +110,42 @@ def report(method, mode, n_steps, n_bodies, dtype):
     )
 
 
+def spinning():
+    """Free bodies and heavy tops, with initial values; each turns at 1 rad/s or little more."""
+    w0 = np.random.default_rng(5).normal(size=(16, 3))
+    w0 /= np.linalg.norm(w0, axis=1)[:, None]
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (16, 1))
+    top = fa.torques.HeavyTop((0.0, 0.0, 0.1), 1.0)
+    return {
+        "free bodies": (fa.Scene(inertia=BODY), q0, w0),
+        "heavy tops": (fa.Scene(inertia=(1.0, 1.0, 0.5), torque=top), q0, w0),
+    }
+
+
+def energies(scene, run):
+    """Kinetic energies with the potential ones of a weight at the height of the arm's end, J."""
+    height = 0.0 if scene.torque is None else fa.quat_rotate(run.q, scene.torque.arm)[..., 2]
+    return fa.kinetic_energy(run.w, scene.inertia) + height
+
+
+def report_bodies(label, method, mode, n_steps):
+    """A row for a method and a mode: errors after the last step, and their exponents."""
+    scene, q0, w0 = spinning()[label]
+    steps = np.array([n_steps // 16, n_steps // 4, n_steps])
+    run = fa.propagate(
+        scene, q0, w0, dt=STEP / 2, n_steps=n_steps, save_at=steps * STEP / 2, method=method,
+        **MODES[mode],
+    )  # fmt: skip
+    exact = fa.propagate(scene, q0, w0, dt=STEP / 2, n_steps=n_steps, save_at=run.t, method="exact")
+    errors = {
+        "angle": [rms(x) for x in fa.angle_between(run.q, exact.q)],
+        "energy": [rms(x) for x in np.abs(energies(scene, run) / energies(scene, exact) - 1.0)],
+        "norm": [rms(x) for x in run.norm_error],
+    }
+    cells = (f"{x[-1]:.1e} | {exponent(steps, np.maximum(x, 1e-20)):.2f}" for x in errors.values())
+    print(f"| {label} | {method} | {mode} | {n_steps:.0e} | {' | '.join(cells)} |", flush=True)
+
+
 def speeds():
     """Speed of each mode, that of the plain one being 1: coning and free bodies, 300 steps."""
     generator = np.random.default_rng(0)
@@ -138,6 +183,17 @@ def main():
         report(arguments.method, mode, MANY, BODIES, "float32")
     report(arguments.method, "plain", min(steps, 10**8), 64, "float64")
     report(arguments.method, "compensated", steps, 64, "float64")
+    print()
+    print(
+        "| scene | method | mode | steps | angle, rad | exponent | energy | exponent | norm "
+        "| exponent |"
+    )
+    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    for label in spinning():
+        for method in BODY_METHODS[label]:
+            modes = ["plain"] + ["compensated"] * fa.METHODS[method].compensates
+            for mode in modes:
+                report_bodies(label, method, mode, BODY_STEPS)
     print()
     speeds()
 

@@ -329,6 +329,9 @@ def normalised(q: NDArray[Any]) -> NDArray[Any]:
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """Hamilton product p∘q of quaternions.
 
+    ``fastatt.kernels.quat.mul`` is the same product of two tuples of numbers, for jitted code and
+    for user-defined functions of a scene.
+
     Parameters
     ----------
     p : array_like of shape (..., 4)

@@ -100,9 +100,10 @@ def propagate(
     t0 : float, default 0.0
         Time of the initial state, s.
     compensated : bool, default False
-        Also carry the rounding errors of the quaternion and of the angular momentum, so that the
-        error due to rounding grows with the square root of the number of steps. A run then has 0.5
-        to 0.9 of the speed. Accepted with the representation "quat" and with methods for which
+        Also carry the rounding errors of the quaternion and of the angular momentum. The error
+        of an attitude due to rounding then grows with the number of steps n as n^0.5 at prescribed
+        rates, and about as n for bodies (n^1.8 with "rk8"), not as n^1.5. A run has 0.5 to 0.9 of
+        the speed. Accepted with the representation "quat" and with methods for which
         ``Method.compensates`` is True.
     normalise : {"output", "never"} or int, default "output"
         When the state is renormalised (a quaternion to unit norm, a matrix to an orthogonal one).
