@@ -136,8 +136,8 @@ def flags(x: Vector, values: Vector, limits: Vector, attitude: Any, *, iterates:
         exceeded, most = float(of.flag(attitude)), Double(value)
         infinite = float(of.infinite) if iterates else exceeded
         flag = choose((apply("sqrt", most) if k == 0 else most) <= limit, 0.0, exceeded)
-        if k > 0:
-            flag = choose(finite, flag, 0.0)
+        # a NaN angle of a state that is lost tells nothing of the step
+        flag = choose(finite if k else either(finite, is_number(most)), flag, 0.0)
         if infinite != exceeded:
             flag = choose(value == math.inf, choose(finite, infinite, 0.0), flag)
         total = total + flag

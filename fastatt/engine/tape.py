@@ -102,9 +102,10 @@ UNBROKEN = Breaks(
 
 def on_grid(since: Any, dt: Any, slack: Any) -> tuple[Any, Any]:
     """(whole steps to times, the rest in s), where rounding leaves no rest."""
-    count = np.floor(since / dt + slack / np.abs(dt))
-    rest = since - count * dt
-    return count.astype(np.int64), np.where(np.abs(rest) <= slack, 0.0, rest)
+    nearest = np.rint(since / dt)
+    is_on = np.abs(since - nearest * dt) <= slack
+    count = np.where(is_on, nearest, np.floor(since / dt))
+    return count.astype(np.int64), np.where(is_on, 0.0, since - count * dt)
 
 
 def legs_of(dt: float, n_steps: int, breaks: Breaks = UNBROKEN, end: float | None = None) -> Legs:
@@ -181,7 +182,11 @@ class Steps:
         until = np.abs(legs["begin"] + legs["end"] * legs["dt"])
         leg = np.minimum(np.searchsorted(until, np.abs(saved) - slack), len(legs) - 1)
         since = saved - legs["begin"][leg]
-        counts, self._rests = on_grid(since, legs["dt"][leg], slack)
+        counts, rests = on_grid(since, legs["dt"][leg], slack)
+        # a leg may be shorter than rounding
+        is_past = counts >= legs["end"][leg]
+        self._rests = np.where(is_past, 0.0, rests)
+        counts = np.clip(counts, legs["first"][leg], legs["end"][leg])
         positions = self._starts[leg] + counts - legs["first"][leg]
         #: twice the position of a save, and one more within the next step
         self._keys = 2 * np.maximum(positions, self.first) + (self._rests != 0.0)

@@ -71,12 +71,17 @@ class StepLimits:
         least, most = self.usual
         if angles is not None and least <= angles.max() <= most and not status.any():
             return False
-        text = "" if angles is None else self._advice(angles)
-        if angles is None or text or (status & Status.NON_FINITE).any():
-            first = np.zeros(1)
-            if self.scene.kind != "rate":
-                first = first_step(self.scene, self.method, start.y[:, :3], self.dt)
-            text = self._advice(first) or text
+        first = np.zeros(1)
+        if self.scene.kind != "rate":
+            first = first_step(self.scene, self.method, start.y[:, :3], self.dt)
+        if angles is None:
+            text = self._advice(first)
+        elif angles.max() < least <= first.max() and not status.any():
+            text = ""  # the only step is a shorter last one
+        else:
+            text = self._advice(angles)
+            if text or (status & Status.NON_FINITE).any():
+                text = self._advice(first) or text
         if text:
             rounding.warn(text)
         return bool(text)
@@ -140,10 +145,11 @@ def _step_of(h: Any, measured: NDArray[Any]) -> float:
     return abs(float(np.broadcast_to(h, measured.shape)[measured.argmax()]))
 
 
-def warn_of_status(status: NDArray[np.uint8]) -> None:
-    """Warn, once, of the bodies with a flag, unless too large steps were warned of."""
+def warn_of_status(status: NDArray[np.uint8], *, is_warned: bool) -> None:
+    """Warn, once, of the bodies with a flag, unless the steps ``is_warned`` of are the reason."""
     flagged = np.flatnonzero(status)
-    if flagged.size and not (status & Status.STEP_TOO_LARGE).any():
+    of_steps = Status.STEP_TOO_LARGE | Status.NON_FINITE
+    if flagged.size and not (is_warned and (status & of_steps).any()):
         flags = ", ".join(f"{name} ({count})" for name, count in count_flags(status).items())
         rounding.warn(
             f"status: found {flags}, {flagged.size} of {status.size} bodies, the first of them "

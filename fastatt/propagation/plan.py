@@ -203,6 +203,7 @@ class Plan:
         arrays = partial(Results.empty, shape[1:], self.dtype, len(self.choice.events))
         made = partial(self._trajectory, one_body=start.one_body)
         output, end = Output(schedule, times, arrays, made, (on_save, history)), None
+        is_warned = False
         with progress_bar(progress, *output.length) as output.done:
             if self.program is None:
                 self._evaluate(start, output, n_threads)
@@ -211,10 +212,10 @@ class Plan:
                 ends_on_step = schedule.t_end is None and not schedule.is_per_body
                 if checkpoint is not None:
                     takers.append(Checkpoints(checkpoint, write, whole=ends_on_step).take)
-                run = self._step(start, t0, output, takers, n_threads, resumed)
+                run, is_warned = self._step(start, t0, output, takers, n_threads, resumed)
                 if keeps_end and ends_on_step and self.n_bodies <= min(MOST, PART):
                     end = write(run, schedule.end)
-        limits.warn_of_status(output.results.status)
+        limits.warn_of_status(output.results.status, is_warned=is_warned)
         return output.trajectory(end)
 
     def _evaluate(self, start: Initial, output: Output, n_threads: int) -> None:
@@ -228,8 +229,8 @@ class Plan:
     def _step(
         self, start: Initial, t0: float, output: Output,
         takers: Sequence[Callable[[Run, Piece], None]], n_threads: int, resumed: End | None,
-    ) -> Run:  # fmt: skip
-        """Take all steps, in pieces; returns the last run.
+    ) -> tuple[Run, bool]:  # fmt: skip
+        """Take all steps, in pieces; returns the last run, and whether a warning was given.
 
         Bodies of each step size are run together, and a large ensemble in groups, one after the
         other.
@@ -260,8 +261,8 @@ class Plan:
             squares[rows] = run.squares
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
-            self.limits.warn(start, np.sqrt(squares), results.status)
-        return run
+            warned = self.limits.warn(start, np.sqrt(squares), results.status)
+        return run, warned
 
     def _kept(self, resumed: End | None) -> Mapping[str, Any] | None:
         """What a run goes on from: the states, and what is known of the same events."""
