@@ -5,8 +5,7 @@ whole ensemble and measured against a tight reference, and every method and prec
 the least number of steps that meets the tolerance. Printed are the share of scenes whose true
 error is within the tolerance, and the share whose time is within 1.3 times the best of the sweep.
 
-    python bench/advice.py --scenes 200 --seed 1 --out advice.csv
-    python bench/advice.py --large     # how long advice on 10^6 bodies takes
+    python bench/advice.py --scenes 200 --seed 1
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ import math
 import multiprocessing
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -27,9 +25,8 @@ import numpy as np
 import fastatt as fa
 from fastatt.kernels.trig import sincos
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.threads import progress_bar
 from fastatt.trade.ladder import largest_angle, see
-from fastatt.trade.measure import Case, Problem, machine_line, to_csv
+from fastatt.trade.measure import Case, Problem, machine_line
 from fastatt.trade.reference import Reference, largest_rotation, reference
 from fastatt.trade.work_precision import cases_of
 
@@ -115,22 +112,17 @@ KINDS: dict[str, Callable[[np.random.Generator, int], fa.Scene]] = {
 class Trial:
     """One scene: what was recommended, what was true, and the best that the sweep found."""
 
-    seed: int
     number: int
     kind: str
     tol: float
-    t_end: float
     recommended: str
     n_steps: int
-    expected_error: float
     true_error: float
-    expected_seconds: float
     seconds: float
     best: str
     best_steps: int
     best_seconds: float
     advice_seconds: float
-    limited_by: str
     refused: str
 
     @property
@@ -241,8 +233,8 @@ def trial(
         chosen = fa.recommend(e.scene, e.q0, e.w0, t_end=problem.duration, tol=tol, methods=methods)
     except ValueError as refusal:
         return Trial(
-            seed, number, kind, tol, problem.duration, "", 0, 0.0, math.inf, 0.0, math.inf, "", 0,
-            1.0, perf_counter() - begin, "", str(refusal),
+            number, kind, tol, "", 0, math.inf, math.inf, "", 0, 1.0, perf_counter() - begin,
+            str(refusal),
         )  # fmt: skip
     took = perf_counter() - begin
     case = chosen.case
@@ -254,77 +246,42 @@ def trial(
     own, *others = side_by_side(problem, runs, seconds)
     i = int(np.argmin(others)) if others else -1
     return Trial(
-        seed=seed,
         number=number,
         kind=kind,
         tol=tol,
-        t_end=problem.duration,
         recommended=str(case),
         n_steps=chosen.n_steps,
-        expected_error=chosen.expected_error,
         true_error=true,
-        expected_seconds=chosen.expected_seconds,
         seconds=own,
         best=str(best[i][1]) if others else str(case),
         best_steps=best[i][2] if others else chosen.n_steps,
         best_seconds=others[i] if others else own,
         advice_seconds=took,
-        limited_by=chosen.limited_by,
         refused="",
     )
-
-
-def large(n: int = 1_000_000) -> None:
-    """Seconds of advice on large ensembles, of a second call: the first compiles."""
-    for kind in ("coning", "polynomial", "free", "gravity", "top", "damped", "several"):
-        rng = np.random.default_rng(5)
-        scene, q0 = KINDS[kind](rng, n), rng.normal(size=(n, 4))
-        w0 = None if scene.kind == "rate" else rng.normal(size=(n, 3))
-        for tol in (1e-4, 1e-9):
-            for _ in range(2):
-                begin = perf_counter()
-                chosen = fa.recommend(scene, q0, w0, t_end=20.0, tol=tol)
-                took = perf_counter() - begin
-            print(f"{kind} {tol:g}: {chosen.method} {chosen.dtype}, {took:.2f} s", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--scenes", type=int, default=2 if SMALL else 200)
-    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--bodies", type=int, default=N_BODIES)
     parser.add_argument("--seconds", type=float, default=0.3, help="of timing, a scene")
-    parser.add_argument("--out", type=Path, help="CSV with a row a scene")
-    parser.add_argument("--progress", action="store_true")
-    parser.add_argument("--large", action="store_true", help="only advice on 10^6 bodies, timed")
     arguments = parser.parse_args()
     print(machine_line(), flush=True)
-    if arguments.large:
-        large()
-        return
     trials: list[Trial] = []
-    numbers = range(arguments.first, arguments.first + arguments.scenes)
     # a process a kind: what was compiled for one kind is of no use to another, and takes memory
-    with (
-        ProcessPoolExecutor(
-            1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
-        ) as pool,
-        progress_bar(arguments.progress, len(KINDS), "kind") as done,
-    ):
-        for k in range(len(KINDS)):
-            own = [n for n in numbers if n % len(KINDS) == k]
-            if own:
-                trials += pool.submit(
-                    trials_of, arguments.seed, own, arguments.bodies, arguments.seconds
-                ).result()
-            done(1)
-            if arguments.out and trials:
-                to_csv(arguments.out, trials)
+    with ProcessPoolExecutor(
+        1, mp_context=multiprocessing.get_context("spawn"), max_tasks_per_child=1
+    ) as pool:
+        for k in range(min(len(KINDS), arguments.scenes)):
+            own = range(k, arguments.scenes, len(KINDS))
+            given = arguments.seed, own, arguments.bodies, arguments.seconds
+            trials += pool.submit(trials_of, *given).result()
     report(trials)
 
 
-def trials_of(seed: int, numbers: list[int], n_bodies: int, seconds: float) -> list[Trial]:
+def trials_of(seed: int, numbers: Sequence[int], n_bodies: int, seconds: float) -> list[Trial]:
     warnings.simplefilter("ignore")
     methods = ["rk4"] if SMALL else None
     return [trial(seed, number, n_bodies, seconds, methods) for number in numbers]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from time import perf_counter
 
 import numpy as np
 import pytest
 import quaternion
-from problems import Coning
 
 import fastatt as fa
 from fastatt.gyro.integrate import methods_for_samples
-from fastatt.trade.ensembles import coning_rates
+from fastatt.trade.ensembles import coning_attitudes, coning_rates
+from fastatt.trade.measure import best_time
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N_LOGS, N_SAMPLES = (2_000, 100) if SMOKE else (100_000, 100)
@@ -21,14 +20,21 @@ H = 0.01
 START = np.array([np.cos(0.5), np.sin(0.5), 0.0, 0.0])
 
 
-def _best(call, repeats: int = 5) -> float:
-    call()
-    times = []
-    for _ in range(repeats):
-        begin = perf_counter()
-        call()
-        times.append(perf_counter() - begin)
-    return min(times)
+class Coning:
+    """N coning bodies, angle and frequency per body."""
+
+    def __init__(self, n_bodies: int) -> None:
+        generator = np.random.default_rng(3)
+        self.angle = generator.uniform(0.2, 1.5, n_bodies)
+        self.frequency = generator.uniform(0.5, 2.0, n_bodies)
+        self.scene = fa.Scene(rate=fa.rates.Coning(self.angle, self.frequency))
+        self.q0 = self.exact(0.0)
+
+    def exact(self, t: float) -> np.ndarray:
+        return coning_attitudes(self.angle, self.frequency, np.array([t]))[0]
+
+    def error(self, q: np.ndarray, t: float) -> float:
+        return float(np.median(fa.angle_between(q, self.exact(t))))
 
 
 @pytest.fixture(scope="module")
@@ -53,25 +59,20 @@ def _report(benchmark, samples: int, reference: float, name: str, error: float) 
 
 
 @pytest.mark.benchmark(group="many logs")
-@pytest.mark.parametrize("memory", ["new", "used"])
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("method", methods_for_samples())
-def test_many_logs(benchmark, logs, method, dtype, memory):
-    """Beside it: numpy copying as many bytes as come in and go out, to new or to used memory."""
+def test_many_logs(benchmark, logs, method, dtype):
+    """Beside it: numpy copying as many bytes as come in and go out."""
     problem, rates = logs
     data = rates.astype(dtype)
-    used = np.ones((N_LOGS, N_SAMPLES, 4), dtype=dtype)
-    source = np.ones(data.size + used.size, dtype=dtype)
+    out = np.ones((N_LOGS, N_SAMPLES, 4), dtype=dtype)
+    source = np.ones(data.size + out.size, dtype=dtype)
     target = np.ones_like(source)
-    out = used if memory == "used" else None
-
-    def copy() -> None:
-        np.copyto(target if memory == "used" else np.empty_like(source), source)
 
     def run() -> np.ndarray:
         return fa.integrate_rates(data, H, problem.q0, method=method, out=out)
 
-    reference = _best(copy)
+    reference, _ = best_time(lambda: np.copyto(target, source), 5)
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
     error = problem.error(q[:, -1].astype(float), H * (N_SAMPLES - 1))
     _report(benchmark, N_LOGS * N_SAMPLES, reference, "numpy's copy", error)
@@ -93,7 +94,7 @@ def test_one_long_log(benchmark, long_log, method, dtype):
         return fa.integrate_rates(data, H, START, method=method)
 
     part = long_log[: LONG // 10]
-    reference = 10.0 * _best(lambda: _peer(part), repeats=2)
+    reference = 10.0 * best_time(lambda: _peer(part), 2)[0]
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
     _report(benchmark, LONG, reference, "numpy-quaternion", _long_error(q))
 
@@ -102,22 +103,6 @@ def _long_error(q: np.ndarray) -> float:
     t = H * (len(q) - 1)
     exact = [np.cos(0.5), np.sin(0.5) * np.cos(t), np.sin(0.5) * np.sin(t), 0.0]
     return float(fa.angle_between(q[-1].astype(float), exact))
-
-
-@pytest.mark.benchmark(group="one long log beside a copy")
-@pytest.mark.parametrize("method", methods_for_samples())
-def test_one_long_log_beside_a_copy(benchmark, long_log, method):
-    """Beside it: numpy copying as many bytes as come in and go out, all to used memory."""
-    out = np.ones((LONG, 4))
-    source = np.ones(long_log.size + out.size)
-    target = np.ones_like(source)
-    reference = _best(lambda: np.copyto(target, source))
-
-    def run() -> np.ndarray:
-        return fa.integrate_rates(long_log, H, START, method=method, out=out)
-
-    q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
-    _report(benchmark, LONG, reference, "numpy's copy", _long_error(q))
 
 
 @pytest.mark.benchmark(group="a call")

@@ -67,7 +67,7 @@ those at 600 s are of Basilisk 2.12.1, run by `bench/peers_wheels.py`.
 The wheels read a torque before the spacecraft's next step: torques are held without delay.
 The last figure is of 2.12.1 with wheels and spacecraft in the opposite order: a sample late.""",
         "2.12.1 is within 2e-15 of the truth of 2017; RK4 in steps of 0.1 s is off the solution "
-        "of the equations by 2.7e-14, as `python bench/wheel_feedback.py` finds.",
+        "of the equations by 2.7e-14, as `python bench/wheels.py` finds.",
         scenario,
     ),
 )

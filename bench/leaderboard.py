@@ -28,7 +28,6 @@ from leaderboard_contestants import OURS, PACKAGES, contestants, missing, our_lo
 from leaderboard_picture import picture
 from leaderboard_problems import MANY, ONE, PROBLEMS, Log, Problem
 from leaderboard_report import TARGETS, Row, page, ranking, read_rows, write_rows
-from leaderboard_single import single_table
 from leaderboard_solvers import Contestant, Run
 
 from fastatt.trade.measure import machine_line
@@ -278,7 +277,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="few bodies and settings, one round")
     parser.add_argument("--keep", action="store_true", help="keep the CSV's other problems")
     parser.add_argument("--again", action="store_true", help="time what the CSV has: no ladders")
-    parser.add_argument("--single", action="store_true", help="only measure single precision")
     parser.add_argument("--draw", action="store_true", help="only draw the CSV that is there")
     options = parser.parse_args(arguments)
 
@@ -287,12 +285,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     packages = [name for name in packages if name not in absent]
     if absent:
         print("not installed, left out: " + ", ".join(absent))
-    path, single = options.out / "leaderboard.csv", options.out / "single.md"
+    path = options.out / "leaderboard.csv"
     options.out.mkdir(parents=True, exist_ok=True)
-    before = options.keep or options.draw or options.again or options.single
+    before = options.keep or options.draw or options.again
     rows = read_rows(path) if before and path.exists() else []
     with one_core():
-        for name in [] if options.draw or options.single else options.problem or PROBLEMS:
+        for name in [] if options.draw else options.problem or PROBLEMS:
             problem = PROBLEMS[name](options.quick)
             old = [row for row in rows if row.problem == name]
             new = measure(
@@ -302,10 +300,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows = [row for row in rows if row.problem != name] + new
             rows.sort(key=lambda row: list(PROBLEMS).index(row.problem))
             write_rows(path, rows)
-        if options.single or not (options.draw or options.problem):
-            single.write_text(single_table(quick=options.quick), encoding="utf-8")
-    where = f"One core of {machine_line()}."
-    text = page(rows, where, single.read_text(encoding="utf-8") if single.exists() else "")
+    text = page(rows, f"One core of {machine_line()}.")
     folder = options.page or options.out
     (folder / "LEADERBOARD.md").write_text(text, encoding="utf-8")
     pictures = options.pictures or options.out

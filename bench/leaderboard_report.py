@@ -280,8 +280,8 @@ With wheels a torque is computed every 0.1 s and held, and steps end there: libr
 equations are restarted at each sample, while Basilisk and fastatt run the controller themselves."""
 
 
-def page(rows: Sequence[Row], where: str, single: str) -> str:
-    """Markdown: rules, libraries, the table, each problem, single precision."""
+def page(rows: Sequence[Row], where: str) -> str:
+    """Markdown: rules, libraries, the table, each problem."""
     parts = ["# Time at equal error", f"`make leaderboard` writes this page. {where}", _RULES]
     parts += ["## Libraries", "\n".join(_libraries()), "## Who is first", table(rows)]
     parts.append("![time at equal error](../fastatt/docs/pictures/leaderboard.png)")
@@ -293,10 +293,4 @@ def page(rows: Sequence[Row], where: str, single: str) -> str:
             parts.append("\n".join(_of_log(own)))
             continue
         parts += [why(rows, name), "\n".join(_times(rows, name)), "\n".join(_first_two(rows, name))]
-    if single:
-        parts += [
-            "## Single precision",
-            "Ensembles of 1024 in 96 steps; least error in 32 to 512 steps.",
-            single,
-        ]
     return "\n\n".join(parts).rstrip() + "\n"

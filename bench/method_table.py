@@ -9,11 +9,8 @@ import csv
 import sys
 from pathlib import Path
 
-from peak import peak
-
 from fastatt import METHODS
 from fastatt.propagation.inspect_step import job_of
-from fastatt.threads import default_threads
 from fastatt.trade.ensembles import BODY_SCENES, SAMPLES, problem
 from fastatt.trade.measure import machine_line
 
@@ -57,9 +54,9 @@ def main(path: Path, *scenes: str) -> None:
     coarse, fine = STEPS
     print(
         f"| method | for | order | error, dt={coarse:g} s | error, dt={fine:g} s | M steps/s "
-        "| operations a step | % of the peak | |"
+        "| operations a step | |"
     )
-    print("| --- " * 9 + "|")
+    print("| --- " * 8 + "|")
     summaries = {name: method.summary for name, method in METHODS.items()}
     for (name, source), ladder in ladders(path).items():
         if scenes and source not in scenes:
@@ -71,12 +68,10 @@ def main(path: Path, *scenes: str) -> None:
         errors = [f"{float(x['error_median']):.1e}" if x else "" for x in (first, last)]
         last = last or ladder[-1]
         speed = int(last["n_steps"]) / float(last["seconds_per_body"])
-        count, most = operations(name, source), default_threads() * peak("double")
-        share = f"{100.0 * speed * count / most:.0f}" if count else ""
         print(
             f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
-            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} | {count or ''} | {share} "
-            f"| {summaries.pop(name, '')} |"
+            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} "
+            f"| {operations(name, source) or ''} | {summaries.pop(name, '')} |"
         )
 
 

@@ -2,8 +2,7 @@
 
 Each peer runs an ensemble from attitudes q0 (N, 4) and momenta m0 (N, 3), body axes, and gives a
 ``Run``: the same at the end, and the seconds of the propagation on one core, compilation and the
-change of layout left out. Scenes are free bodies, or bodies in the potential of a heavy top,
-q0² − q1² − q2² + q3². A peer is imported, or its compiler looked for, where it is used.
+change of layout left out. A peer is imported, or its compiler looked for, where it is used.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import tempfile
 import time
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,32 +34,22 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """An ensemble: moments (3,) or (N, 3), attitudes and momenta at t = 0, a potential or none."""
+    """An ensemble: moments (3,) or (N, 3), attitudes and momenta at t = 0."""
 
     inertia: np.ndarray
     q0: np.ndarray
     m0: np.ndarray
-    potential: bool
 
     def __len__(self) -> int:
         return len(self.q0)
 
 
-def _ensemble(inertia: list, size: float, n_bodies: int, *, potential: bool) -> Bodies:
-    m0 = np.random.default_rng(1).normal(size=(n_bodies, 3))
-    m0 *= size / np.linalg.norm(m0, axis=1, keepdims=True)
-    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1))
-    return Bodies(np.array(inertia), q0, m0, potential)
-
-
 def free_bodies(n_bodies: int) -> Bodies:
     """Moments (2, 1, 2/3), momenta of size 1 in all directions, no torque."""
-    return _ensemble([2.0, 1.0, 2.0 / 3.0], 1.0, n_bodies, potential=False)
-
-
-def bodies_in_potential(n_bodies: int) -> Bodies:
-    """Moments (0.6, 0.8, 1), momenta of size 2.05 in all directions, as a heavy top."""
-    return _ensemble([0.6, 0.8, 1.0], 2.05, n_bodies, potential=True)
+    m0 = np.random.default_rng(1).normal(size=(n_bodies, 3))
+    m0 /= np.linalg.norm(m0, axis=1, keepdims=True)
+    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1))
+    return Bodies(np.array([2.0, 1.0, 2.0 / 3.0]), q0, m0)
 
 
 def _products(inertia: np.ndarray) -> np.ndarray:
@@ -81,7 +69,7 @@ typedef struct { double x, y, z, yz, zx, xy; } coefficients;
 
 #define INLINE static inline __attribute__((always_inline))
 
-INLINE body slope(body s, coefficients k, int potential)
+INLINE body slope(body s, coefficients k)
 {
     const double x = k.x * s.x, y = k.y * s.y, z = k.z * s.z;
     body r;
@@ -92,10 +80,6 @@ INLINE body slope(body s, coefficients k, int potential)
     r.x = k.yz * s.y * s.z;
     r.y = k.zx * s.z * s.x;
     r.z = k.xy * s.x * s.y;
-    if (potential) {
-        r.x += 2.0 * (s.a * s.b + s.c * s.d);
-        r.y += 2.0 * (s.a * s.c - s.b * s.d);
-    }
     return r;
 }
 
@@ -106,18 +90,18 @@ INLINE body add(body s, double h, body r)
     return s;
 }
 
-INLINE void tile(double s[STATE][TILE], double k[COEFFICIENTS][TILE], int shared, int potential,
-                 double h, long steps)
+INLINE void tile(double s[STATE][TILE], double k[COEFFICIENTS][TILE], int shared, double h,
+                 long steps)
 {
     for (long n = 0; n < steps; n++)
         for (int i = 0; i < TILE; i++) {
             const int j = shared ? 0 : i;
             const coefficients c = {k[0][j], k[1][j], k[2][j], k[3][j], k[4][j], k[5][j]};
             const body s0 = {s[0][i], s[1][i], s[2][i], s[3][i], s[4][i], s[5][i], s[6][i]};
-            const body k1 = slope(s0, c, potential);
-            const body k2 = slope(add(s0, 0.5 * h, k1), c, potential);
-            const body k3 = slope(add(s0, 0.5 * h, k2), c, potential);
-            const body k4 = slope(add(s0, h, k3), c, potential);
+            const body k1 = slope(s0, c);
+            const body k2 = slope(add(s0, 0.5 * h, k1), c);
+            const body k3 = slope(add(s0, 0.5 * h, k2), c);
+            const body k4 = slope(add(s0, h, k3), c);
             body r = add(add(s0, h / 6.0, k1), h / 3.0, k2);
             r = add(add(r, h / 3.0, k3), h / 6.0, k4);
             s[0][i] = r.a; s[1][i] = r.b; s[2][i] = r.c; s[3][i] = r.d;
@@ -125,8 +109,8 @@ INLINE void tile(double s[STATE][TILE], double k[COEFFICIENTS][TILE], int shared
         }
 }
 
-INLINE void run(double *y, const double *factors, long bodies, int shared, int potential,
-                double h, long steps)
+INLINE void run(double *y, const double *factors, long bodies, int shared, double h,
+                long steps)
 {
     double s[STATE][TILE] __attribute__((aligned(64)));
     double k[COEFFICIENTS][TILE] __attribute__((aligned(64)));
@@ -136,20 +120,17 @@ INLINE void run(double *y, const double *factors, long bodies, int shared, int p
         for (int e = 0; e < COEFFICIENTS; e++)
             for (int i = 0; i < TILE; i++)
                 k[e][i] = shared ? factors[e] : factors[e * bodies + first + i];
-        tile(s, k, shared, potential, h, steps);
+        tile(s, k, shared, h, steps);
         for (int e = 0; e < STATE; e++)
             for (int i = 0; i < TILE; i++) y[e * bodies + first + i] = s[e][i];
     }
 }
 
 /* y[7][bodies], a multiple of 64 bodies; factors[6] for all or factors[6][bodies] */
-void rk4(double *y, const double *factors, long bodies, int shared, int potential,
-         double h, long steps)
+void rk4(double *y, const double *factors, long bodies, int shared, double h, long steps)
 {
-    if (potential && shared) run(y, factors, bodies, 1, 1, h, steps);
-    else if (potential) run(y, factors, bodies, 0, 1, h, steps);
-    else if (shared) run(y, factors, bodies, 1, 0, h, steps);
-    else run(y, factors, bodies, 0, 0, h, steps);
+    if (shared) run(y, factors, bodies, 1, h, steps);
+    else run(y, factors, bodies, 0, h, steps);
 }
 """
 C_FLAGS = ("-O3", "-march=native", "-ffast-math", "-shared", "-fPIC")
@@ -160,14 +141,13 @@ def has_c() -> bool:
 
 
 @cache
-def compile_c(vector_width: int | None = 512) -> ctypes._CFuncPtr:
+def compile_c() -> ctypes._CFuncPtr:
     """The C function ``rk4``; a compiler that does not know the vector width goes without."""
-    width = () if vector_width is None else (f"-mprefer-vector-width={vector_width}",)
     with tempfile.TemporaryDirectory() as folder:
         source, library = Path(folder, "rk4.c"), Path(folder, "rk4.so")
         source.write_text(C_SOURCE, encoding="ascii")
         done = None
-        for flags in dict.fromkeys(((*C_FLAGS, *width), C_FLAGS)):
+        for flags in dict.fromkeys(((*C_FLAGS, "-mprefer-vector-width=512"), C_FLAGS)):
             command = ["gcc", *flags, str(source), "-o", str(library)]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode == 0:
@@ -176,17 +156,14 @@ def compile_c(vector_width: int | None = 512) -> ctypes._CFuncPtr:
             raise RuntimeError(f"gcc failed: {done.stderr}")
         function = ctypes.CDLL(str(library)).rk4
     array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
-    function.argtypes = [array, array, *[ctypes.c_long, *[ctypes.c_int] * 2]]
-    function.argtypes += [ctypes.c_double, ctypes.c_long]
+    function.argtypes = [array, array, ctypes.c_long, ctypes.c_int, ctypes.c_double, ctypes.c_long]
     function.restype = None
     return function
 
 
-def c_rk4(
-    bodies: Bodies, n_steps: int, *, t_end: float = T_END, vector_width: int | None = 512
-) -> Run:
+def c_rk4(bodies: Bodies, n_steps: int) -> Run:
     """RK4 on (q, m) in C: tiles of 64 bodies stay in a local array for the whole run."""
-    function = compile_c(vector_width)
+    function = compile_c()
     n = len(bodies)
     padded = -(-n // TILE) * TILE
     y = np.empty((7, padded))
@@ -197,18 +174,12 @@ def c_rk4(
     if not shared:
         factors = np.concatenate([factors, np.repeat(factors[:, :1], padded - n, 1)], axis=1)
     start = time.perf_counter()
-    function(
-        y, np.ascontiguousarray(factors), padded, shared, bodies.potential, t_end / n_steps, n_steps
-    )
+    function(y, np.ascontiguousarray(factors), padded, shared, T_END / n_steps, n_steps)
     seconds = time.perf_counter() - start
     return Run(y[:4, :n].T.copy(), y[4:, :n].T.copy(), seconds)
 
 
 # heyoka
-
-
-def has_heyoka() -> bool:
-    return find_spec("heyoka") is not None
 
 
 def _fastest_group(tol: float) -> int:
@@ -290,28 +261,6 @@ def taylor_work(integrator: Any, steps: int, kind: str) -> float:
     """Operations of a body: a product of two series to the order p takes p², and p its place."""
     p, products = integrator.order, equations.N_PRODUCTS[kind]
     return float(steps * p * (products * p + 2 * equations.N_STATE[kind]))
-
-
-class Heyoka(TaylorBatch):
-    """``TaylorBatch`` for free bodies, or bodies in the potential of a heavy top."""
-
-    def __init__(self, bodies: Bodies, tol: float, **options) -> None:
-        kind = equations.TOP if bodies.potential else equations.FREE
-        parameters = equations.of_body(bodies.inertia, potential=bodies.potential)
-        super().__init__(kind, parameters, tol, **options)
-        self.ensemble = bodies
-
-    def propagate(self, t_end: float = T_END) -> Run:
-        """All bodies; the seconds leave the change of layout out."""
-        q0, m0 = self.ensemble.q0, self.ensemble.m0
-        inertia = np.broadcast_to(self.ensemble.inertia, m0.shape)
-        starts = self.lanes(np.concatenate([q0, 0.5 * m0 / inertia], axis=1))
-        own = None if self.parameters is None else self.lanes(self.parameters)
-        start = time.perf_counter()
-        ends = self.run(starts, own, t_end)
-        seconds = time.perf_counter() - start
-        y = self.bodies(ends, len(m0))
-        return Run(y[:, :4].copy(), 2.0 * inertia * y[:, 4:], seconds)
 
 
 # programs with steps of their own

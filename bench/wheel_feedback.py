@@ -1,24 +1,15 @@
 """Basilisk's ``scenarioAttitudeFeedbackRW`` rebuilt: a hub with three wheels, feedback of MRPs.
 
-    python bench/wheel_feedback.py    # three minutes, most of them Basilisk's thousand bodies
-
 Every 0.1 s a torque is computed from the attitude and the angular velocity, and the motors exert
-it, as far as they can, until the next sample. The first table tells how far two solutions are from
-each other over 10 minutes, at the samples: modified Rodrigues parameters σ and the speeds of the
-wheels. The second has times on one core and, of a thousand bodies with other starts, the largest
-difference of σ at the end from ``rk8`` and from ``rk4`` on MRPs, which Basilisk takes too. Basilisk
-takes part where it is installed. Gravity exerts no torque on the hub and is left out.
+it, as far as they can, until the next sample. Gravity exerts no torque on the hub and is left out.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import mpmath as mp
@@ -30,7 +21,6 @@ import rigid_oracle as oracle
 
 import fastatt as fa
 from fastatt.kernels import mrp
-from fastatt.trade.measure import best_time
 
 SAMPLES, PERIOD = 6000, 0.1  # s
 RPM = math.pi / 30.0
@@ -154,68 +144,3 @@ def _reaction(h: Any, u: Any, digits: int) -> Callable[..., Any]:
         return [x - y for x, y in zip(oracle.cross(inside, w), u, strict=True)]
 
     return torque
-
-
-def differences(samples: int) -> None:
-    """Print the first table."""
-    exact = truth(SCENARIO, samples)
-    found = {
-        "mpmath": (np.array([x.sigma for x in exact]), np.array([x.speeds for x in exact])),
-        "`rk8`": craft().histories(samples, method="rk8"),
-        "`rk4`, MRPs": craft().histories(samples, method="rk4", representation="mrp"),
-        "a sample late": craft(late).histories(samples, method="rk4", representation="mrp"),
-        "at all times": craft(is_sampled=False).histories(samples, method="rk8"),
-    }
-    pairs = [("`rk8`", "mpmath"), ("`rk4`, MRPs", "mpmath")]
-    pairs += [("`rk8`", "a sample late"), ("`rk8`", "at all times")]
-    if find_spec("Basilisk") is not None:
-        from peers_wheels import BasiliskWheels
-
-        found["Basilisk"] = BasiliskWheels(samples).histories()
-        found["Basilisk, late"] = BasiliskWheels(samples, is_late=True).histories()
-        pairs += [("Basilisk", "`rk4`, MRPs"), ("Basilisk", "mpmath")]
-        pairs += [("Basilisk, late", "a sample late")]
-    print("| compared | with | σ, largest | σ at the end | speeds, rad/s, largest |")
-    print("| --- " * 5 + "|")
-    for one, other in pairs:
-        sigma, speeds = (np.abs(a - b) for a, b in zip(found[one], found[other], strict=True))
-        figures = sigma.max(), sigma[-1].max(), speeds.max()
-        print(f"| {one} | {other} | {' | '.join(f'{x:.1e}' for x in figures)} |")
-
-
-def times(samples: int, bodies: int) -> None:
-    """Print the second table."""
-    ours, common = craft(), {"dt": PERIOD, "n_steps": samples, "n_threads": 1}
-    spent, ends = {}, {}
-    for label, options in (
-        ("`rk8`", {"method": "rk8"}),
-        ("`rk4`", {"method": "rk4"}),
-        ("`rk4`, MRPs", {"method": "rk4", "representation": "mrp"}),
-    ):
-        spent[label] = []
-        for n in (1, bodies):
-            plan, start = fa.plan(ours.scene, n, **common, **options), ours.start(starts(n))
-            plan(**start)
-            seconds, run = best_time(lambda plan=plan, start=start: plan(**start), 5)
-            spent[label].append(seconds)
-        ends[label] = fa.quat_to_mrp(run.q[-1])
-    if find_spec("Basilisk") is not None:
-        from peers_wheels import BasiliskWheels
-
-        theirs, each = BasiliskWheels(samples), list(zip(*starts(bodies), strict=True))
-        one, _ = best_time(lambda: theirs.run(*each[0]), 5)
-        begin = perf_counter()
-        ends["Basilisk"] = np.reshape([theirs.run(*start) for start in each], (-1, 3))
-        spent["Basilisk"] = [one, perf_counter() - begin]
-    print(f"\n| | one body, ms | {bodies} bodies, s | off `rk8` | off `rk4`, MRPs |")
-    print("| --- " * 5 + "|")
-    for label, (one, together) in spent.items():
-        apart = (np.abs(ends[label] - ends[other]).max() for other in ("`rk8`", "`rk4`, MRPs"))
-        figures = f"{1e3 * one:.2f} | {together:.2f} | {' | '.join(f'{x:.1e}' for x in apart)}"
-        print(f"| {label} | {figures} |")
-
-
-if __name__ == "__main__":
-    smoke = bool(os.environ.get("FASTATT_SMOKE"))
-    differences(50 if smoke else SAMPLES)
-    times(50 if smoke else SAMPLES, 20 if smoke else 1000)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import choose
 import hostile
 import method_table
 import numpy as np
+import page_figures
 import polhodes
 import pytest
 import recordings
-import wheel_feedback
+import wheels
 
 import fastatt as fa
-from fastatt.propagation.choice_of_method import DEFAULTS
 from fastatt.trade.ensembles import study
 from fastatt.trade.measure import Case, to_csv
 
@@ -22,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_method_table(tmp_path, capsys):
-    """A line a method and input: errors, speed, operations, share of the peak."""
+    """A line a method and input: errors, speed, operations."""
     steps = (50, 400)
     cases = [Case("rk4"), Case("exact"), Case("rk4", "dcm")]
     bodies = study("free", 8)
@@ -30,7 +29,7 @@ def test_the_method_table(tmp_path, capsys):
     to_csv(tmp_path / "trade.csv", rows)
     method_table.main(tmp_path / "trade.csv")
     head, _, rk4, exact = capsys.readouterr().out.splitlines()
-    assert "| operations a step | % of the peak |" in head
+    assert "| operations a step |" in head
     assert len({line.count("|") for line in (head, rk4, exact)}) == 1
     by_step = {r.dt: r for r in rows if (r.method, r.representation) == ("rk4", "quat")}
     cells = [cell.strip() for cell in rk4.split("|")][1:]
@@ -40,32 +39,13 @@ def test_the_method_table(tmp_path, capsys):
     assert [c.strip() for c in exact.split("|")][1:4] == ["`exact`", "free bodies", "exact"]
 
 
-def test_advice_on_methods_is_what_the_tables_say():
-    for page in choose.PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert choose.rewritten(text) == text
-    readme, guide, tutorial = (page.read_text(encoding="utf-8") for page in choose.PAGES)
-    assert choose.of_methods() in readme
-    assert choose.of_methods() in guide
-    assert choose.of_drifts() in tutorial
-
-
-def test_defaults_are_first_most_often():
-    groups = "prescribed rate", "free body, heavy symmetric top", "any torque"
-    found = [choose.default(group) for group in groups]
-    assert tuple(found) == DEFAULTS[:3]
-    for page in choose.PAGES[:2]:
-        prose = " ".join(page.read_text(encoding="utf-8").split())
-        assert f"first most often at 1e-3 and 1e-6 rad: `{found[0]}`" in prose
-
-
 def test_the_drifts_that_are_kept_are_the_last(tmp_path, monkeypatch):
-    monkeypatch.setattr(choose, "DRIFT", tmp_path / "kept.csv")
+    monkeypatch.setattr(page_figures, "DRIFT", tmp_path / "kept.csv")
     head = "input,method,representation,quantity,n_steps,drift"
     lines = [head, "free,rk4,quat,energy,10,1e-9", "free,rk4,quat,energy,20,2e-9"]
     (tmp_path / "drift.csv").write_text("\n".join(lines), encoding="utf-8")
-    choose.keep(tmp_path)
-    assert choose.DRIFT.read_text(encoding="utf-8").split() == [lines[0], lines[2]]
+    page_figures.keep(tmp_path)
+    assert page_figures.DRIFT.read_text(encoding="utf-8").split() == [lines[0], lines[2]]
 
 
 def test_polhodes_are_of_one_momentum():
@@ -81,7 +61,7 @@ def test_polhodes_are_of_one_momentum():
 
 def test_wheels_beside_many_digits(capsys):
     """A controller at all times, or a sample late, is another: rows far from round-off."""
-    wheel_feedback.differences(30)
+    wheels.differences(30)
     rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[2:]]
     errors = {tuple(x.strip() for x in row[:2]): float(row[2]) for row in rows}
     assert errors["`rk8`", "mpmath"] < 1e-15

@@ -187,4 +187,4 @@ def test_the_page_is_of_all_methods_and_nothing_in_it_is_wrong():
     assert "There are 0 in" in text
     assert "Energy over 1e7 steps" in text
     assert [name for name in fa.METHODS if f"| {name} |" not in text] == []
-    assert [table.title for table in tables.TABLES if f"## {table.title}" not in text] == []
+    assert [table.title for table in tables.TABLES if f"| {table.title} |" not in text] == []

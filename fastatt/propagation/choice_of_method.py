@@ -15,7 +15,7 @@ from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import Dependence
 
 # the default is the first of these that fits the scene and the representation: those first in most
-# cells at 1e-3 and 1e-6 rad of bench/LEADERBOARD.md (bench/choose.py)
+# cells at 1e-3 and 1e-6 rad of bench/LEADERBOARD.md (bench/page_figures.py)
 DEFAULTS = ("magnus6", "exact", "rk8", "rk4")
 # names of explicit Runge-Kutta methods in other libraries
 _ELSEWHERE = ("rk45", "rk23", "dop853", "dopri5", "dopri8", "ode45", "rkf45", "tsit5", "lsoda")

@@ -15,7 +15,7 @@ from fastatt import estimation
 from fastatt.kernels import quat, so3
 
 H = 0.1
-# one method of each kind; bench_estimation.py measures the error of every one
+# one method of each kind
 RATE_METHODS = ["lie_euler", "rk4", "magnus6"]
 SAMPLED = [("coning2", False), ("coning2", True)]
 # |ω| h of some 0.3, bending so that the commutators count

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from wheel_slew import errors, slew_of, truth
+from wheels import errors, slew_of, truth
 
 import fastatt as fa
 
 
-# of the table of bench/wheel_slew.py. Where a motor reaches its limit between two samples of a
+# of the table of bench/wheels.py. Where a motor reaches its limit between two samples of a
 # step, that step has a corner: what is left by the controller at all times, and by a held one not
 @pytest.mark.parametrize(
     ("is_sampled", "bodies", "bounds"),

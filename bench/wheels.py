@@ -1,27 +1,36 @@
-"""A slew by reaction wheels, of many bodies beside SciPy's DOP853.
+"""Spacecraft with reaction wheels beside other solutions: Basilisk's scenario, and slews.
 
-    python bench/wheel_slew.py                    # 10^5 bodies, about a minute
+    python bench/wheels.py            # four minutes, most of them Basilisk's thousand bodies
 
-Every body rotates by 40° to 100° and comes to rest under PID control, evaluated at all times or
-every 0.5 s and held. Three wheels with friction and a largest torque do it; a thruster pushes for
-3 s, and the time at which the pointing error first falls below 0.2° is compared with the begin of
-an eclipse. A line of the table is a controller and a step size: time of the run, body-steps a
-second, and the largest differences of ten bodies from DOP853 (relative tolerance 1e-12, begun anew
-at each breakpoint and sample time): attitude at the end, speed of a wheel, times of events.
+The first table tells how far two solutions of ``wheel_feedback`` are from each other over 10
+minutes, at the samples: modified Rodrigues parameters σ and the speeds of the wheels. The second
+has times on one core and, of a thousand bodies with other starts, the largest difference of σ at
+the end from ``rk8`` and from ``rk4`` on MRPs, which Basilisk takes too. Basilisk takes part where
+it is installed.
+
+In the others 10^5 bodies rotate by 40° to 100° and come to rest under PID control, evaluated at all
+times or every 0.5 s and held. Three wheels with friction and a largest torque do it; a thruster
+pushes for 3 s, and the time at which the pointing error first falls below 0.2° is compared with the
+begin of an eclipse. Beside the speed stand the largest differences of ten bodies from SciPy's
+DOP853 (relative tolerance 1e-12, begun anew at each breakpoint and sample time).
 """
 
 from __future__ import annotations
 
 import math
 import os
-import time
+from importlib.util import find_spec
 from itertools import pairwise
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
+import wheel_feedback as feedback
+from peers_wheels import BasiliskWheels
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
+from fastatt.trade.measure import best_time
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 BODIES, COMPARED, STEPS = (200, 2, (0.5,)) if SMALL else (100_000, 10, (0.5, 0.25, 0.1))
@@ -187,7 +196,8 @@ def errors(slew: Slew, run: fa.Trajectory, wanted: list[Any]) -> Errors:
     )
 
 
-def main() -> None:
+def slews() -> None:
+    """Print speed and differences of the slews."""
     columns = "controller, dt/s, run/s, M body-steps/s, attitude/rad, wheel/(rad/s), event/s"
     print(f"| {columns.replace(', ', ' | ')} |")
     print("| --- " * 7 + "|")
@@ -196,15 +206,15 @@ def main() -> None:
         wanted = [truth(slew, body) for body in range(COMPARED)]
         slew_of(10, is_sampled=is_sampled).run(STEPS[0])  # which compiles the loop
         for dt in STEPS:
-            begin = time.perf_counter()
+            begin = perf_counter()
             run = slew.run(dt)
-            seconds = time.perf_counter() - begin
-            found = errors(slew, run, wanted)
+            seconds = perf_counter() - begin
+            apart = errors(slew, run, wanted)
             name = "every 0.5 s" if is_sampled else "at all times"
             speed = BODIES * END / dt / seconds / 1e6
             print(
-                f"| {name} | {dt} | {seconds:.1f} | {speed:.1f} | {found.attitude:.1e} | "
-                f"{found.speed:.1e} | {found.time:.1e} |"
+                f"| {name} | {dt} | {seconds:.1f} | {speed:.1f} | {apart.attitude:.1e} | "
+                f"{apart.speed:.1e} | {apart.time:.1e} |"
             )
         eclipse, settled = run.event_times.T
         share = np.mean(settled < eclipse)
@@ -212,5 +222,69 @@ def main() -> None:
         print(f"Flags: {run.status_counts()}\n")
 
 
+def differences(samples: int) -> None:
+    """Print how far two solutions are from each other, at the samples."""
+    exact = feedback.truth(feedback.SCENARIO, samples)
+    mrps = {"method": "rk4", "representation": "mrp"}
+    found = {
+        "mpmath": (np.array([x.sigma for x in exact]), np.array([x.speeds for x in exact])),
+        "`rk8`": feedback.craft().histories(samples, method="rk8"),
+        "`rk4`, MRPs": feedback.craft().histories(samples, **mrps),
+        "a sample late": feedback.craft(feedback.late).histories(
+            samples, method="rk4", representation="mrp"
+        ),
+        "at all times": feedback.craft(is_sampled=False).histories(samples, method="rk8"),
+    }
+    pairs = [("`rk8`", "mpmath"), ("`rk4`, MRPs", "mpmath")]
+    pairs += [("`rk8`", "a sample late"), ("`rk8`", "at all times")]
+    if find_spec("Basilisk") is not None:
+        found["Basilisk"] = BasiliskWheels(samples).histories()
+        found["Basilisk, late"] = BasiliskWheels(samples, is_late=True).histories()
+        pairs += [("Basilisk", "`rk4`, MRPs"), ("Basilisk", "mpmath")]
+        pairs += [("Basilisk, late", "a sample late")]
+    print("| compared | with | σ, largest | σ at the end | speeds, rad/s, largest |")
+    print("| --- " * 5 + "|")
+    for one, other in pairs:
+        sigma, speeds = (np.abs(a - b) for a, b in zip(found[one], found[other], strict=True))
+        figures = sigma.max(), sigma[-1].max(), speeds.max()
+        print(f"| {one} | {other} | {' | '.join(f'{x:.1e}' for x in figures)} |")
+
+
+def times(samples: int, bodies: int) -> None:
+    """Print the times of both programs, and how far apart their ends are."""
+    ours, common = feedback.craft(), {"dt": feedback.PERIOD, "n_steps": samples, "n_threads": 1}
+    spent, ends = {}, {}
+    for label, options in (
+        ("`rk8`", {"method": "rk8"}),
+        ("`rk4`", {"method": "rk4"}),
+        ("`rk4`, MRPs", {"method": "rk4", "representation": "mrp"}),
+    ):
+        spent[label] = []
+        for n in (1, bodies):
+            plan, start = (
+                fa.plan(ours.scene, n, **common, **options),
+                ours.start(feedback.starts(n)),
+            )
+            plan(**start)
+            seconds, run = best_time(lambda plan=plan, start=start: plan(**start), 5)
+            spent[label].append(seconds)
+        ends[label] = fa.quat_to_mrp(run.q[-1])
+    if find_spec("Basilisk") is not None:
+        theirs, each = BasiliskWheels(samples), list(zip(*feedback.starts(bodies), strict=True))
+        one, _ = best_time(lambda: theirs.run(*each[0]), 5)
+        begin = perf_counter()
+        ends["Basilisk"] = np.reshape([theirs.run(*start) for start in each], (-1, 3))
+        spent["Basilisk"] = [one, perf_counter() - begin]
+    print(f"\n| | one body, ms | {bodies} bodies, s | off `rk8` | off `rk4`, MRPs |")
+    print("| --- " * 5 + "|")
+    for label, (one, together) in spent.items():
+        apart = (np.abs(ends[label] - ends[other]).max() for other in ("`rk8`", "`rk4`, MRPs"))
+        figures = f"{1e3 * one:.2f} | {together:.2f} | {' | '.join(f'{x:.1e}' for x in apart)}"
+        print(f"| {label} | {figures} |")
+
+
 if __name__ == "__main__":
-    main()
+    differences(50 if SMALL else feedback.SAMPLES)
+    times(50 if SMALL else feedback.SAMPLES, 20 if SMALL else 1000)
+    print()
+    slews()
