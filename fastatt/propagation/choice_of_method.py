@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from fastatt.propagation.breakpoints import corners_of
 from fastatt.propagation.schedule import refuse_pairs
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import Dependence
+from fastatt.tracing.user import UserFunction
 
 # the default is the first of these that fits the scene and the representation: those first in most
 # cells at 1e-3 and 1e-6 rad of bench/LEADERBOARD.md (bench/page_figures.py)
@@ -55,9 +57,24 @@ def fits(method: Method, scene: Scene, representation: str | None = None) -> boo
     return (
         takes_scene
         and (representation is None or method.stores(representation))
+        and not odd_functions(scene.functions, representation or QUATERNION.name)
         and (scene.kind != "torqued" or _takes(method, scene))
         and (method.couples or not scene.is_coupled)
     )
+
+
+def odd_functions(functions: Sequence[UserFunction], representation: str) -> list[UserFunction]:
+    """Those that differ for q and −q, unless the representation keeps the sign continuous."""
+    return [] if representation == QUATERNION.name else [f for f in functions if not f.is_even]
+
+
+def _refuse_odd(functions: Sequence[UserFunction], representation: str) -> None:
+    for function in odd_functions(functions, representation):
+        raise ValueError(
+            f"representation: found {representation} with {function.described}, which differs for "
+            'q and −q, the same attitude; accepted: "quat", where the sign of q is continuous, or '
+            "a function that does not depend on it, such as one of q[0] * q[1]"
+        )
 
 
 def _takes(method: Method, scene: Scene) -> bool:
@@ -93,6 +110,8 @@ def method_of(
     Raises ``ValueError`` for a method that does not fit, with those that do, and if none fits.
     """
     attitude_of(representation)  # raises for an unknown name
+    if representation != QUATERNION.name:
+        _refuse_odd(scene.functions, representation)
 
     def fitting() -> list[str]:
         # loads all methods
@@ -182,6 +201,7 @@ def chosen(
             f'method="{record.name}", which is taken and steps by dt',
             RuntimeWarning,
         )
+    _refuse_odd([event.function for event in events], representation)
     projection = _projection(normalise)
     if compensated and not record.is_exact:  # a closed form adds up no rounding
         if not record.compensates:

@@ -19,6 +19,7 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import precision_of
 from fastatt.engine.job import Job
+from fastatt.engine.marks import Event
 from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.run_with_events import RunWithEvents
@@ -406,6 +407,7 @@ def prepared(
     packed = scene.packed(n_bodies, sorted_axes=method.sorted_axes, position=position)
     for event in choice.events:
         packed = packed._replace(tables=packed.tables | event.function.tables)
+    _warn_of_params(scene, n_bodies, choice.events)
     precision = precision_of(dtype)
     groups = np.unique(schedule.dt).size
     job = Job(
@@ -426,6 +428,21 @@ def prepared(
         StepLimits(scene, method, attitude, dtype, schedule.dt),
         None if method.is_exact else program(job, width), remake=remake, **options,
     )  # fmt: skip
+
+
+def _warn_of_params(scene: Scene, n_bodies: int, events: Sequence[Event]) -> None:
+    """Warn of parameters that look like one of each body, and are shared by all."""
+    params = scene.params
+    if n_bodies == 1 or params is None or np.shape(params) != (n_bodies,):
+        return
+    functions = [*scene.functions, *(event.function for event in events)]
+    if frozenset().union(*(f.read_params for f in functions)) == {0}:
+        rounding.warn(
+            f"params: found ({n_bodies},) with {n_bodies} bodies, of which "
+            f"{functions[0].described} reads p[0] alone; all bodies share them: give each its own "
+            f"as ({n_bodies}, 1)",
+            RuntimeWarning,
+        )
 
 
 def _user_parameters(scene: Scene, packed: Packed) -> range:

@@ -87,7 +87,8 @@ class Scene:
 
     q and −q are the same attitude. In the representation "quat" the quaternion that a function
     receives changes continuously from ``q0`` on; in others its sign may be another one and jump. A
-    torque, force or event should be equal for both, such as ``q[0] * q[1]`` in place of ``q[1]``.
+    torque, force or event that differs for the two, such as ``q[1]`` in place of ``q[0] * q[1]``,
+    is refused there.
 
     If a torque or a force depends on the position, or if there are states, everything is stepped as
     one system, to the order of the method, by methods for which ``Method.couples`` is True.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.tracing.kept import Kept
-from fastatt.tracing.nodes import Node, TraceError, operands
+from fastatt.tracing.nodes import Node, RefusedError, TraceError, operands
 from fastatt.tracing.operations import AT_ENDS, OPERATIONS
 from fastatt.tracing.paths import Followed
 from fastatt.tracing.source import evaluated
@@ -49,7 +49,7 @@ def _unit(q: Numbers) -> Any:
     return q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-300)
 
 
-def _many(kept: Kept, given: Arguments, usual: Numbers) -> Numbers:
+def many(kept: Kept, given: Arguments, usual: Numbers) -> Numbers:
     """Arguments of many sizes, some of them numbers of the function: the usual ones, and others."""
     rng, n = np.random.default_rng(7), _POINTS
     q, p = slice(1, 1 + given.unit), slice(1 + given.unit + given.others, None)
@@ -81,7 +81,7 @@ def check(
 
     ``in_python`` gives the results of a point, and raises what the user's function raises.
     """
-    x = _many(followed.kept, given, usual)
+    x = many(followed.kept, given, usual)
     values = followed.kept.evaluate(x.T)
     columns = [np.broadcast_to(values[i], len(x)) for i in followed.kept.results]
     results = np.stack(columns, axis=-1).astype(float)
@@ -166,7 +166,7 @@ def agrees(point: Numbers, found: Numbers, in_python: Any) -> bool:
     def asked(factor: float) -> Numbers | None:
         try:
             return np.array(in_python((factor * point).tolist()), float)
-        except TraceError:
+        except (TraceError, RefusedError):
             raise
         except (ArithmeticError, ValueError):  # IEEE's rules go on
             return None
@@ -182,6 +182,11 @@ def agrees(point: Numbers, found: Numbers, in_python: Any) -> bool:
         if moved is None or not close(true, moved, 1e-3 * np.abs(true - found).max()):
             return False
     raise TraceError("other values than in Python")
+
+
+def same(a: Numbers, b: Numbers) -> bool:
+    """Whether two arrays of results, (n, results), are equal to rounding."""
+    return all(close(x, y) for x, y in zip(a, b, strict=True))
 
 
 def close(true: Numbers, found: Numbers, bound: float | None = None) -> bool:

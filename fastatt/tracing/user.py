@@ -40,6 +40,11 @@ class Signature(NamedTuple):
     carries: bool = False
     states: int = 0
 
+    @property
+    def names(self) -> list[str]:
+        """The names of the arguments, in their order."""
+        return self.call.partition("(")[2].rstrip(")").split(", ")
+
     def with_states(self, n: int, own: int | None = None) -> Signature:
         """The signature of a function that also takes n states, before its parameters.
 
@@ -54,6 +59,11 @@ class Signature(NamedTuple):
         return self._replace(call=call, before=(*self.before, n), results=results, states=own)
 
 
+#: further names of arguments
+_MEANINGS = {
+    "time": "t", "quat": "q", "quaternion": "q", "attitude": "q", "omega": "w", "velocity": "v",
+    "position": "r", "state": "s", "states": "s", "param": "p", "params": "p", "parameters": "p",
+}  # fmt: skip
 FORMS = {
     "rate": Signature("rate(t, p)", (0,), 3, "rad/s", carries=True),
     "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m", carries=True),
@@ -139,8 +149,8 @@ class UserFunction:
         return self
 
     def _check_arguments(self, form: str) -> None:
-        """Refuse a function with another number of arguments, and say how to declare them."""
-        states = self.form.states
+        """Refuse a function with other arguments, and say how to declare them."""
+        states, names = self.form.states, self.form.names
         try:
             frozen.signature_of(self._function).bind(*[None] * (len(self.form.before) + 1))
         except TypeError:
@@ -153,6 +163,13 @@ class UserFunction:
             raise TypeError(
                 f"{self.argument}: found {self.called_as}; accepted: {', or '.join(accepted)}"
             ) from None
+        for name, accepted in zip(self.required, names, strict=False):
+            meant = _MEANINGS.get(name.casefold(), name)
+            if meant != accepted and meant in names:
+                raise TypeError(
+                    f"{self.argument}: found {self.called_as}, with {name} in the place of "
+                    f"{accepted}; accepted: {self.form.call}"
+                )
 
     def _make(self, params: NDArray[np.float64] | None) -> None:
         """Follow the function, or compile it."""
@@ -190,6 +207,44 @@ class UserFunction:
     def _beside(self, function: Any) -> Callable[[Sequence[float]], Sequence[float]]:
         return lambda point: self.in_a_row(function(*self.nested(point)))
 
+    @cached_property
+    def is_even(self) -> bool:
+        """Whether it gives the same for q and −q, which are one attitude, where it is tried."""
+        x, q = self._tried, slice(1, 1 + self._arguments.unit)
+        # where a component is 0, a choice by its sign is none
+        x = x[(x[:, q] != 0.0).all(axis=1)]
+        other = x.copy()
+        other[:, q] *= -1.0
+        return trial.same(self._gives(x), self._gives(other))
+
+    @cached_property
+    def read_params(self) -> frozenset[int]:
+        """Indices of the parameters on which its results depend, where it is tried."""
+        x, n = self._tried, self.n_params
+        results, depends = self._gives(x), set()
+        for k in range(n):
+            other = x.copy()
+            other[:, k - n] = 1.5 * x[:, k - n] + 0.5
+            if not trial.same(results, self._gives(other)):
+                depends.add(k)
+        return frozenset(depends)
+
+    @property
+    def _tried(self) -> NDArray[np.float64]:
+        """Points (n, numbers) at which it is evaluated."""
+        if self.kept is None:
+            return np.array(self.usual)
+        return trial.many(self.kept, self._arguments, self.usual)
+
+    @np.errstate(all="ignore")
+    def _gives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Its results at points, (n, results)."""
+        if self.kept is None:
+            return np.array([self(*point) for point in x])
+        values = self.kept.evaluate(x.T)
+        columns = [np.broadcast_to(values[i], len(x)) for i in self.kept.results]
+        return np.stack(columns, axis=-1).astype(float)
+
     def in_a_row(self, result: Any) -> Sequence[Any]:
         """The numbers of a result; raises ``RefusedError`` for another form."""
         states = self.form.states
@@ -201,6 +256,11 @@ class UserFunction:
             [x for part in found for x in part],
             (Unknown, float, int, np.number, np.bool_),
         )
+        if self.argument == "event" and any(isinstance(x, (bool, np.bool_)) for x in row):
+            raise RefusedError(
+                "a result that is True or False, whose change has no time within a step; accepted: "
+                "a number that crosses zero, such as w[0] - 0.3 for w[0] > 0.3"
+            )
         if [*map(len, found)] != sizes or not all(isinstance(x, scalars) for x in row):
             length = f" of {len(result)}" if isinstance(result, (tuple, list, np.ndarray)) else ""
             name = "float" if isinstance(result, Unknown) else type(result).__name__
