@@ -192,13 +192,14 @@ class Job:
         return scope.finished(x=scope.entered(scope.time(), scope.number("edge"), x, e), e=e)
 
     @cached_property
-    def update(self) -> Flat | None:
-        """The state after a sample time; None of a job without any."""
-        if self.structure.rotation.law.sampling is None:
-            return None
+    def updates(self) -> list[Flat]:
+        """The state after a sample time, by each of the law's jumps."""
+        return [self._updated(*jump) for jump in self.structure.rotation.law.jumps]
+
+    def _updated(self, term: int, sampling: Any) -> Flat:
         scope = self.scope()
         assert isinstance(scope.motion, Coupled)
-        return scope.finished(x=scope.motion.updated(scope.time(), scope.state()))
+        return scope.finished(x=scope.motion.updated(scope.time(), scope.state(), term, sampling))
 
     @cached_property
     def project(self) -> Flat | None:
@@ -225,7 +226,7 @@ class Job:
     @cached_property
     def resources(self) -> list[Any]:
         """Tables and functions that formulas call without tracing, in the order of their arrays."""
-        flats = (self.small_angle, self.begin, self.save, self.look, self.update)
+        flats = (self.small_angle, self.begin, self.save, self.look, *self.updates)
         return resources_of(*filter(None, flats))
 
     @cached_property
@@ -241,7 +242,7 @@ class Job:
     @cached_property
     def digest(self) -> bytes:
         """A hash of the operations of a step."""
-        flats = filter(None, (self.small_angle, self.update))
+        flats = (self.small_angle, *self.updates)
         spelled = "".join(flat.spelled(self.resources) for flat in flats)
         return hashlib.sha256(spelled.encode()).digest()
 

@@ -138,7 +138,7 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
             if before is not None:
                 if s.action == Action.STEPS:
                     copy(rows, before, p.angle + 1)
-            if s.action < Action.FORK:
+            if s.action < Action.FORK or s.action >= Action.JUMP:
                 call(
                     p.small_angle,
                     s.action,

@@ -146,7 +146,8 @@ class Program(TwoForms):
         if job.regrids:
             add("leave", job.leave, "moment")
             add("enter", job.enter, "moment")
-        add("jump", job.update, "moment")
+        for k, flat in enumerate(job.updates):
+            add(f"jump{k}", flat, "moment")
         add("status", job.status)
         if job.events:
             add("middle", marks.middle(job.scope()), "moment")
@@ -220,7 +221,8 @@ class Program(TwoForms):
             return f"{name}(rows, wide, numbers, whole, {j}, {j}, {i}{steps})"
 
         yield "def run(part, rows, wide, numbers, whole, first, last):"
-        parts = [(Action.START, "constants"), *((x, x.name.lower()) for x in Action)]
+        parts = [(int(Action.START), "constants"), *((int(x), x.name.lower()) for x in Action)]
+        parts += [(Action.JUMP + k, f"jump{k}") for k in range(len(self.job.updates))]
         there = [(part, name) for part, name in parts if name in formulas]
         if there:
             # one loop for all parts, since Numba compiles a condition faster than a loop

@@ -2,9 +2,9 @@
 
 ``engine.machine`` performs a tape on each tile of bodies. A record is an action, its clock, and the
 number of steps of this clock after which the action happens (``first``). It calls a part of the
-program (``START`` to ``MIDDLE``), or copies a tile. A *clock* is a step size, a time of origin and
-a window: after n steps of it the time is ``begin + n dt``, and rates, torques and forces are
-evaluated from ``low`` to ``high`` only. All bodies of a tape share it.
+program (``START`` to ``MIDDLE``, and from ``JUMP`` on), or copies a tile. A *clock* is a step size,
+a time of origin and a window: after n steps of it the time is ``begin + n dt``, and rates, torques
+and forces are evaluated from ``low`` to ``high`` only. All bodies of a tape share it.
 
 A *leg* is a stretch of steps with one clock. Breakpoints divide a run into legs. One on a whole
 step changes only the window. One within a step divides that step into two legs of one shorter step
@@ -15,7 +15,7 @@ the order is
 1. ``SAVE`` at this time, with the old clock;
 2. ``LEAVE`` with the old clock, ``JUMP`` and ``ENTER`` with the new one. ``LEAVE`` and ``ENTER``
    are there only for methods whose stepped variables depend on the clock, and ``JUMP`` only where a
-   sampled controller updates its states;
+   sampled controller updates its states, one for each that is due, in the order of the terms;
 3. saves within the next step, each on a copy of the tile: ``FORK, [LEAVE, ENTER], STEPS, SAVE,
    JOIN``, with another clock from ``ENTER`` or ``STEPS`` on;
 4. with events, ``LOOK``, and ``MIDDLE`` on a copy after half of the step: a parabola through three
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 
 class Action(IntEnum):
-    """What a record does: it calls a part of the program, or, from ``FORK`` on, copies a tile."""
+    """What a record does: it calls a part of the program; ``FORK`` to ``RESTORE`` copy a tile."""
 
     START = 0  #: the state from initial values
     STEPS = 1  #: steps [first, end), at most a block
@@ -42,12 +42,12 @@ class Action(IntEnum):
     LEAVE = 4  #: the state from the stepped variables
     ENTER = 5  #: the stepped variables from the state
     STATUS = 6  #: the flags of each body
-    JUMP = 7  #: the states of a sampled controller after a sample time
-    LOOK = 8  #: the values of events where a leg begins
-    MIDDLE = 9  #: the values of events half a step later
-    FORK = 10  #: copies the tile
-    JOIN = 11  #: takes the copy back, but for diagnostics and the values of ``MIDDLE``
-    RESTORE = 12  #: the tile as an earlier tape left it
+    LOOK = 7  #: the values of events where a leg begins
+    MIDDLE = 8  #: the values of events half a step later
+    FORK = 9  #: copies the tile
+    JOIN = 10  #: takes the copy back, but for diagnostics and the values of ``MIDDLE``
+    RESTORE = 11  #: the tile as an earlier tape left it
+    JUMP = 12  #: the states of the first sampled controller after a sample time; 13: of the second
 
 
 #: the fields of a clock
@@ -59,8 +59,8 @@ RECORD = np.dtype(
 )
 _BYTES = np.dtype((np.void, RECORD.itemsize))
 #: a leg: its clock, with times since the start of the run; its steps [first, end), counted from
-#: ``begin``; how many whole steps the run has taken when it ends, -1 within a step; whether states
-#: jump before it
+#: ``begin``; how many whole steps the run has taken when it ends, -1 within a step; as bits, which
+#: controllers are due before it
 LEG = np.dtype(
     [(name, np.float64) for name in CLOCK]
     + [(name, np.int64) for name in ("first", "end", "whole", "jumps")]
@@ -82,7 +82,7 @@ class Breaks(NamedTuple):
     """The times, s, at which a run is divided, in its order, the first being its start.
 
     ``since`` are counted from the start, with ``slack`` for their rounding; ``low`` and ``high``
-    are the window of what follows each; ``jumps`` says where states jump.
+    are the window of what follows each; bit k of ``jumps`` says that the k-th controller is due.
     """
 
     times: Times
@@ -90,13 +90,13 @@ class Breaks(NamedTuple):
     slack: Times
     low: Times
     high: Times
-    jumps: NDArray[np.bool_]
+    jumps: NDArray[np.int64]
 
 
 #: a run that nothing divides
 UNBROKEN = Breaks(
     np.zeros(1), np.zeros(1), np.zeros(1), np.full(1, -np.inf), np.full(1, np.inf),
-    np.zeros(1, np.bool_),
+    np.zeros(1, np.int64),
 )  # fmt: skip
 
 
@@ -125,10 +125,10 @@ def legs_of(dt: float, n_steps: int, breaks: Breaks = UNBROKEN, end: float | Non
         if reached is not None and count > n:  # the rest of the divided step
             n += 1
             legs.append((n * dt - reached, reached, *window, 0, 1, n, jumps))
-            reached, jumps = None, False  # noqa: PLW2901  # they jump once
+            reached, jumps = None, 0  # noqa: PLW2901  # they jump once
         if count > n or n_steps == 0:  # whole steps
             legs.append((dt, 0.0, *window, n, count, count, jumps))
-            n, jumps = count, False  # noqa: PLW2901
+            n, jumps = count, 0  # noqa: PLW2901
         if rest:  # from the last whole step or breakpoint to this one
             begin = n * dt if reached is None else reached
             legs.append((time - begin, begin, *window, 0, 1, -1, jumps))
@@ -295,7 +295,9 @@ class Steps:
         add(self._records, (Action.SAVE,), saved[on_step], slots=slots[on_step, None])
         if self._regrids:
             add(self._records, (Action.LEAVE,), changes)
-        add(self._records, (Action.JUMP,), starts[jumps], side="right")
+        for k in range(int(self.legs["jumps"].max()).bit_length()):
+            due = starts[(self.legs["jumps"][legs] >> k) & 1 != 0]
+            add(self._records, (Action.JUMP + k,), due, side="right")
         if self._regrids:
             add(self._records, (Action.ENTER,), changes, side="right")
         about = {"rests": rests[~on_step, None], "slots": slots[~on_step, None]}
@@ -308,7 +310,7 @@ class Steps:
         return tape
 
     def _records(
-        self, actions: Sequence[Action], positions: Whole, *,
+        self, actions: Sequence[int], positions: Whole, *,
         side: Literal["left", "right"] = "left", taken: Any = 0, slots: Any = 0,
     ) -> Tape:  # fmt: skip
         """A row of records for each position.

@@ -223,7 +223,7 @@ def single_step(
     record = method_of(scene, method, representation, stepped=True)
     if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
-    if scene.sampling is not None:
+    if scene.samplings:
         raise ValueError(
             "scene: found a sampled controller; accepted: a scene without, with the torque that "
             "your loop computes at sample times among its params"

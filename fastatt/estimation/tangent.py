@@ -17,7 +17,7 @@ from fastatt.attitudes import QUATERNION
 from fastatt.methods.method import Method
 from fastatt.methods.windows import Window
 from fastatt.scene.equations import Body, PrescribedRate, RigidBody, Turning
-from fastatt.scene.models import Law
+from fastatt.scene.law import Law
 from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
 from fastatt.tracing.functions import larger

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.engine.tape import Breaks
-from fastatt.scene.models import Model, Sampling
+from fastatt.scene.law import Sampling
+from fastatt.scene.models import Model
 from fastatt.scene.scene import Scene
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -37,17 +38,21 @@ def breaks_within(scene: Scene, begin: float, duration: float) -> Breaks:
     the start may be one.
     """
     sign, ends = math.copysign(1.0, duration), np.sort([begin, begin + duration])
-    corners, samples = corners_of(scene), _samples(scene.sampling, *ends)
+    corners, each = corners_of(scene), [_samples(x, *ends) for x in scene.samplings]
+    samples = np.concatenate([np.zeros(0), *each])
+    of_clock = [sum(1 << k for k, y in enumerate(scene.jumps) if y == x) for x in scene.samplings]
+    bits = np.repeat(np.array(of_clock, np.int64), [x.size for x in each])
     # those that are equal to an end, to rounding, are inside; one more before and after the run
     low, high = np.searchsorted(corners, ends + 32.0 * _EPS * np.abs(ends) * (-1.0, 1.0))
     every = np.concatenate([samples, corners[max(low - 2, 0) : high + 2]])
     order = np.argsort(every)
-    every, is_sample = every[order], order < samples.size
+    clocks = np.concatenate([bits, np.zeros(every.size - bits.size, np.int64)])
+    every, clocks = every[order], clocks[order]
     slack = 16.0 * _EPS * (np.abs(every) + abs(begin))
     apart = np.diff(every, prepend=-np.inf) > slack
     # the first and the last of those that are equal
     last, first = every[np.roll(apart, -1)], np.flatnonzero(apart)
-    is_sample = np.logical_or.reduceat(is_sample, first)
+    clocks = np.bitwise_or.reduceat(clocks, first) if first.size else clocks
     every, slack = every[first], slack[first]
     since = every - begin
     inside = (sign * since > slack) & (sign * since < abs(duration) - slack)
@@ -55,21 +60,19 @@ def breaks_within(scene: Scene, begin: float, duration: float) -> Breaks:
     segment = int((since <= slack).sum() if sign > 0.0 else (since < -slack).sum())
     segments = segment + int(sign) * np.arange(inside.sum() + 1)
     divides = np.flatnonzero(inside)[:: int(sign)]
-    at_begin = is_sample[np.abs(since) <= slack].any()
+    at_begin = np.bitwise_or.reduce(clocks[np.abs(since) <= slack], initial=0)
     return Breaks(
         np.concatenate([[begin], every[divides]]),
         np.concatenate([[0.0], since[divides]]),
         np.concatenate([[0.0], slack[divides]]),
         np.nextafter(np.concatenate([[-np.inf], last]), np.inf)[segments],
         np.nextafter(np.concatenate([every, [np.inf]]), -np.inf)[segments],
-        np.concatenate([[at_begin], is_sample[divides]]),
+        np.concatenate([[at_begin], clocks[divides]]),
     )
 
 
-def _samples(sampling: Sampling | None, first: float, last: float) -> NDArray[np.float64]:
+def _samples(sampling: Sampling, first: float, last: float) -> NDArray[np.float64]:
     """The sample times of a run between two times, and one more before and after it."""
-    if sampling is None:
-        return np.zeros(0)
     period, start = sampling
     farthest = max(abs(first - start), abs(last - start))
     if last - first > _MOST * period or farthest > _FARTHEST * period:

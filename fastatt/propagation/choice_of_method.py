@@ -141,7 +141,7 @@ def method_of(
             raise _refused(f'method for representation "{representation}"', record.name, fitting())
         able = methods_for(scene, stepped=stepped)
         raise _refused("method", record.name, able, _reason(record, scene))
-    if not record.within and (scene.sampling is not None or corners_of(scene).size):
+    if not record.within and (scene.samplings or corners_of(scene).size):
         raise ValueError(
             f"method: found {record.name}, whose steps evaluate times outside of them, for a "
             "scene with breakpoints or samples; accepted: nodes from 0 to 1"

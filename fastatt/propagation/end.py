@@ -25,7 +25,7 @@ from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
-_FORMAT = 11
+_FORMAT = 12
 # s between two checkpoints
 _WRITTEN = 10.0
 #: the largest number of bodies of which a trajectory holds its end

@@ -63,6 +63,8 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
     numbers of bodies.
     """
     q0, w0, v0, r0, s0 = values
+    if isinstance(s0, Mapping):
+        s0 = _states(scene, s0)
     start = checks.attitudes("q0", q0)
     n, carried = scene.states or "n", {}
     placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
@@ -84,3 +86,28 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
         told = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
     return start, carried
+
+
+def _states(scene: Scene, by_name: Mapping[str, Any]) -> NDArray[np.float64]:
+    """States from those of the terms, by their names; 0 of those that only samples set."""
+    parts, steps = scene.parts, np.array(scene.packed(None).structure.rotation.law.steps)
+    for name in by_name.keys() - parts.keys():
+        known = ", ".join(map(repr, parts)) or "an array, since no term has a name"
+        raise ValueError(f"s0: found {name!r}; accepted: {known}")
+    columns = {}
+    for name, part in parts.items():
+        size = part.stop - part.start
+        if name in by_name:
+            wanted = f"({size},) or (N, {size})" + (", or a number" if size == 1 else "")
+            tails = [(size,), (-1, size), *([()] if size == 1 else [])]
+            columns[name] = checks.array(f"s0[{name!r}]", by_name[name], wanted, tails)
+        elif not steps[part].all():
+            raise ValueError(f"s0[{name!r}]: is missing; accepted: ({size},) or (N, {size})")
+    unnamed = scene.states - sum(part.stop - part.start for part in parts.values())
+    if unnamed:
+        raise ValueError(f"s0: found names, but {unnamed} states have none; accepted: an array")
+    rows = max((len(x) for x in columns.values() if x.ndim == 2), default=0)
+    s0 = np.zeros((rows, scene.states) if rows else scene.states)
+    for name, column in columns.items():
+        s0[..., parts[name]] = column
+    return s0

@@ -153,6 +153,12 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
                 f"bodies (body {stopped.argmax()}), whose results are NaN"
             )
     way = np.sign(when[1] - when[0])
+    if run.packed is not None and "s" in carried:
+        # a save at a sample time holds what was held until then
+        held = np.flatnonzero(run.packed.structure.rotation.law.steps)
+        slack = _SLACK * np.abs(when).max()
+        after = np.searchsorted(way * when + slack, way * asked)
+        carried["s"][..., held] = run.carried["s"][after][..., held]
     before = np.searchsorted(way * when, way * asked, side="right") - 1
     return replace(
         run, t=asked, state=motion[0], norm_error=run.norm_error[before], attitude=QUATERNION,

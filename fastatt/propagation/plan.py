@@ -367,7 +367,7 @@ class Plan:
         assert self.program is not None
         job = self.program.job
         read = hashlib.sha256(job.digest)
-        read.update(repr((self.scene.breakpoints, self.scene.sampling)).encode())
+        read.update(repr((self.scene.breakpoints, self.scene.samplings)).encode())
         for table in self.packed.tables.values():
             read.update(table.tobytes())
         read.update(_called(job.resources).encode())
@@ -398,7 +398,7 @@ def prepared(
 ) -> Plan:
     """The plan of a run, with its program compiled; ``options`` are further fields of ``Plan``."""
     method, attitude = choice.method, choice.attitude
-    if scene.sampling is not None and schedule.h < 0.0:
+    if scene.samplings and schedule.h < 0.0:
         raise ValueError(
             f"dt: found {schedule.h} with a sampled controller; accepted: above 0, since what it "
             "holds can't be found backwards"
@@ -420,7 +420,7 @@ def prepared(
         raw=choice.raw,
         projects=choice.projection > 0,
         events=choice.events,
-        windowed=len(corners_of(scene)) > 0 or scene.sampling is not None,
+        windowed=len(corners_of(scene)) > 0 or bool(scene.samplings),
     )
     width = width_for(-(-n_bodies // groups), processor().lanes(precision))
     return Plan(

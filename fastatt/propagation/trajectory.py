@@ -19,7 +19,8 @@ from fastatt.engine.status import Status, count_flags
 from fastatt.methods import METHODS
 from fastatt.propagation.end import NO_END, End
 from fastatt.scene.equations import PrescribedRate
-from fastatt.scene.models import Law, Packed
+from fastatt.scene.law import Law
+from fastatt.scene.models import Packed
 
 if TYPE_CHECKING:
     from datetime import datetime

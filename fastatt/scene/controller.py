@@ -10,20 +10,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.scene import models
+from fastatt.scene.law import Law, Sampling, Term
 from fastatt.scene.models import (
     PER_AXIS,
     Field,
-    Law,
     PackedTerm,
     Packing,
     Parameters,
-    Sampling,
-    Term,
+    join,
     on_each_axis,
 )
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Custom, Pose, Torque, check_unit
-from fastatt.tracing.formulas import Vector, dot, minus, product, quat, rigid, scale
+from fastatt.tracing.formulas import (
+    Vector,
+    as_like,
+    dot,
+    minus,
+    product,
+    quat,
+    rigid,
+    scale,
+)
+from fastatt.tracing.user import UserFunction, user_function
 
 
 class _Gains(Field):
@@ -134,15 +143,16 @@ class SampledControl(Torque):
     At each sample time of the run, the first included, the controller computes a torque from the
     state at that time. The torque is constant along body axes until the next sample time. Steps end
     at sample times as at ``breakpoints``, so that a method keeps its order with any ``dt``. A
-    ``dt`` that divides the period adds no steps; any other adds one step for each sample.
+    ``dt`` that divides the period adds no steps; any other adds one step for each sample. With
+    ``holds`` it computes numbers that exert nothing: other terms of a :class:`Sum` read them.
 
-    The states are the three components of the held torque, N·m along body axes, followed by the
-    memory of the controller. As ``command`` of ``ReactionWheels``, they follow the angular momenta
-    of the wheels. A run takes their initial values as ``s0``. If it begins at a sample time, the
-    held torque in ``s0`` has no effect, and zeros will do; if it begins between two sample times,
-    that torque acts until the first of them. A save at a sample time holds the states from before
-    the sample: with a period of 0.2 s, the held torque saved at t = 0.2 s is that of the interval
-    from 0 to 0.2 s.
+    The states are the three components of the held torque, N·m along body axes, or the numbers that
+    are held, those that wait with a ``delay``, the next to be held first, and the memory of the
+    controller. As ``command`` of ``ReactionWheels``, they follow the angular momenta of the wheels.
+    A run takes their initial values as ``s0``. If it begins at a sample time, the held torque in
+    ``s0`` has no effect, and zeros will do; if it begins between two sample times, that torque acts
+    until the first of them. A save at a sample time holds the states from before the sample: with a
+    period of 0.2 s, the held torque saved at t = 0.2 s is that of the interval from 0 to 0.2 s.
 
     Parameters
     ----------
@@ -159,12 +169,20 @@ class SampledControl(Torque):
         Number of memory values of the function.
     start : float
         A sample time, s, on the same clock as ``t0``.
+    holds : int, optional
+        Number of numbers that the function returns in place of a torque, as a tuple, or a number if
+        it is one.
+    delay : int
+        After how many samples what is computed is held: 0, at once. Until then what the run has
+        begun with is held.
+    reads : str or tuple of str
+        Names of terms of a :class:`Sum`, whose numbers the function takes as tuples before s:
+        ``torque(t, q, w, wheels, s, p)``.
 
     Raises
     ------
     ValueError
-        If the period is not above 0 or the model has states. ``Scene`` raises it if two controllers
-        have different sample times.
+        If the period is not above 0 or the model has states.
     TypeError
         If ``control`` is neither a function nor a model.
 
@@ -191,16 +209,24 @@ class SampledControl(Torque):
     params: Parameters = None
     states: int = 0  # type: ignore[misc]
     start: float = 0.0
+    holds: int | None = None
+    delay: int = 0
+    reads: str | tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         name = "SampledControl"
         checks.above_zero(f"{name}.period", self.period, "above 0, s")
         checks.real(f"{name}.start", self.start)
         memory = checks.whole(f"{name}.states", self.states, 0)
+        checks.whole(f"{name}.delay", self.delay, 0)
+        if self.holds is not None:
+            checks.whole(f"{name}.holds", self.holds, 1)
+        object.__setattr__(self, "reads", models.names_in(f"{name}.reads", self.reads))
         if isinstance(self.control, models.Model):
-            if self.params is not None or memory:
+            if self.params is not None or memory or self.holds is not None or self.reads:
                 raise ValueError(
-                    f"{name}: found params or states beside a model; accepted: with a function"
+                    f"{name}: found params, states, holds or reads beside a model; accepted: with "
+                    "a function"
                 )
         elif not callable(self.control):
             raise TypeError(
@@ -208,42 +234,99 @@ class SampledControl(Torque):
                 "torque(t, q, w, p) or a model of fastatt.torques"
             )
 
+    def shown(self) -> dict[str, int]:
+        """The numbers that are held."""
+        return {"": 3 if self.holds is None else int(self.holds)}
+
     def pack(self, packing: Packing) -> PackedTerm:
-        label = f"{packing.argument}: SampledControl.control"
-        control: Any = self.control
-        is_model, memory = isinstance(control, models.Model), int(self.states)
-        if not is_model:
-            control = Custom(control, self.params, states=memory)
-        law, params = models.packed_law(control, Torque, packing._replace(argument=label))
-        if is_model and law.states:
-            raise ValueError(
-                f"{label}: found a model with {law.states} states; accepted: a model without "
-                "states, or a function with memory"
-            )
-        held = _Held(None, law, Sampling(float(self.period), float(self.start)), 3 + memory)
-        return Term(held, (params.shape[-1],), (None,)), params
+        packing = packing._replace(argument=f"{packing.argument}: SampledControl")
+        control, params = self._packed_control(packing)
+        held, delay, memory = self.shown()[""], int(self.delay), int(self.states)
+        sampling = Sampling(float(self.period), float(self.start))
+        count = held * (1 + delay) + memory
+        model = _Held(None, control, sampling, count, held, delay, tuple(self.reads))
+        return Term(model, (params.shape[-1],), (None,)), params
+
+    def _packed_control(self, packing: Packing) -> tuple[Law | UserFunction, NDArray[np.float64]]:
+        """The law of a torque, or the function of numbers that exert nothing; its parameters."""
+        control, memory = self.control, int(self.states)
+        if self.holds is not None:
+            params = join([models.parameters("params", self.params)], packing.n_bodies, "params")
+            reads = models.readings(self.reads, packing)
+            function = user_function(
+                control, "control", params.shape[-1], params, memory, reads=reads,
+                results=int(self.holds),
+            )  # fmt: skip
+            packing.tables.update(function.tables)
+            return function, params
+        packing = packing._replace(argument=f"{packing.argument}.control")
+        if isinstance(control, models.Model):
+            law, params = models.packed_law(control, Torque, packing)
+            if law.states:
+                raise ValueError(
+                    f"{packing.argument}: found a model with {law.states} states; accepted: a "
+                    "model without states, or a function with memory"
+                )
+            return law, params
+        torque = Custom(control, self.params, states=memory, reads=self.reads)
+        return models.packed_law(torque, Torque, packing)
 
 
 class _Held(Torque):
-    """A controller whose torque is held, as formulas take it."""
+    """A controller whose numbers are held, as formulas take it.
+
+    Its states are those that are held, those that wait for as many samples as the ``delay``, the
+    next first, and the memory.
+    """
 
     params: Parameters
-    control: Law
-    sampling: Sampling  # type: ignore[misc]
+    control: Law | UserFunction
+    sampling: Sampling
     states: int  # type: ignore[misc]
+    holds: int = 3
+    delay: int = 0
+    reads: tuple[str, ...] = ()
+
+    @property
+    def exerts_nothing(self) -> bool:  # type: ignore[override]
+        return not isinstance(self.control, Law)
+
+    @property
+    def samplings(self) -> tuple[Sampling, ...]:  # type: ignore[override]
+        return (self.sampling,)
+
+    @property
+    def steps(self) -> tuple[bool, ...]:
+        return (True,) * self.states
+
+    def show(self, name: str, t: Any, pose: Pose, states: Vector) -> Vector:
+        return states[: self.holds]
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
         """That of the controller."""
-        return self.control.reads_position
+        return isinstance(self.control, Law) and self.control.reads_position
 
     def formula(self, t: Any, pose: Pose, states: Vector) -> Any:
-        return (*states[:3], *np.zeros(self.states))
+        torque = (0.0, 0.0, 0.0) if self.exerts_nothing else states[:3]
+        return (*torque, *np.zeros(self.states))
 
-    def update(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
-        results = self.control.formula(t, pose, self.params, states=states[3:])
-        torque = results[:3] if pose.axes is None else quat.rotate(pose.axes, results[:3])
-        return (*torque, *results[3:])
+    def update(self, t: Any, pose: Pose, states: Vector, sampling: Sampling) -> Any:
+        waiting = self.holds * (1 + self.delay)
+        computed = self._computed(t, pose, states[waiting:])
+        return (*states[self.holds : waiting], *computed)
+
+    def _computed(self: Any, t: Any, pose: Pose, memory: Vector) -> Vector:
+        """The numbers that are to be held, and the memory for the next sample."""
+        if isinstance(self.control, Law):
+            numbers = self.control.formula(t, pose, self.params, states=memory)
+            torque = numbers[:3] if pose.axes is None else quat.rotate(pose.axes, numbers[:3])
+            return (*torque, *numbers[3:])
+        body = pose.along_body
+        read = (*map(body.shown, self.reads), *((memory,) if memory else ()))
+        numbers = self.control.call(t, body.quaternion, body.w, *read, self.params)
+        numbers = numbers if self.control.results > 1 else (numbers,)
+        return tuple(as_like(x, pose.moments[0]) for x in numbers)
 
 
 # messages name a model by its class

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple, Self
 
 from fastatt.attitudes import QUATERNION, Attitude
-from fastatt.scene.models import Law
+from fastatt.scene.law import Law
 from fastatt.scene.torque_record import (
     UNCOUPLED,
     CoupledStates,
@@ -251,23 +251,38 @@ class Body(EquationsOfMotion):
         v = [k * u for k, u in zip(self.half_inverse, m, strict=False)]
         return tuple(a + a for a in v)
 
-    def _posed(self, a: Vector, w: Vector, coupled: CoupledStates) -> Pose:
+    def _posed(self, time: Any, a: Vector, w: Vector, coupled: CoupledStates) -> Pose:
         wheels = partial(wheels_of, self.structure.law, self.torque_numbers)
-        return Pose(self.plain, a, w, self.moments, coupled, self.axes_given, wheels)
+        shown = self.shown(time, coupled)
+        return Pose(self.plain, a, w, self.moments, coupled, self.axes_given, wheels, shown=shown)
+
+    def shown(self, time: Any, coupled: CoupledStates) -> Callable[[Pose, str], Vector]:
+        """The numbers that a term shows at a pose, by its name."""
+        law, p = self.structure.law, self.torque_numbers
+
+        def shown(pose: Pose, name: str) -> Vector:
+            numbers = law.shown(pose, name, time, p, coupled.states)
+            return tuple(as_like(x, pose.w[0]) for x in numbers)
+
+        return shown
 
     def torque(self, t: Any, a: Vector, w: Vector, coupled: CoupledStates = UNCOUPLED) -> Vector:
         """Torque (N·m, principal axes) at an attitude a, in its plain form, and a rate w.
 
         The time derivatives of the law's states follow.
         """
-        pose, law = self._posed(a, w, coupled), self.structure.law
-        torque = law.formula(self.instant(t), pose, self.torque_numbers, states=coupled.states)
+        time, law = self.instant(t), self.structure.law
+        pose = self._posed(time, a, w, coupled)
+        torque = law.formula(time, pose, self.torque_numbers, states=coupled.states)
         return tuple(as_like(x, a[0]) for x in torque)
 
-    def updated_states(self, t: Any, a: Vector, m: Vector, coupled: CoupledStates) -> Vector:
+    def updated_states(
+        self, t: Any, a: Vector, m: Vector, coupled: CoupledStates, *jump: Any
+    ) -> Vector:
         """The law's states after a sample time, at attitude a and momentum m without low parts."""
-        pose, law = self._posed(a, self.angular_velocity(m), coupled), self.structure.law
-        states = law.updated(self.instant(t), pose, self.torque_numbers, coupled.states)
+        time, law = self.instant(t), self.structure.law
+        pose = self._posed(time, a, self.angular_velocity(m), coupled)
+        states = law.updated(time, pose, self.torque_numbers, coupled.states, *jump)
         return tuple(as_like(x, a[0]) for x in states)
 
     def momentum_rate(
@@ -357,9 +372,14 @@ def rotation_of(
     return Body(attitude, structure, p, like)
 
 
-def acceleration(force: Law, t: Any, q: Vector, w: Vector, coupled: CoupledStates, p: Any) -> Any:
-    """The acceleration by a force, m/s² along body axes; p are 1/μ, μ and its parameters."""
-    pose = Pose(QUATERNION, q, w, coupled=coupled, mass=p[1])
+def acceleration(
+    force: Law, t: Any, q: Vector, w: Vector, coupled: CoupledStates, p: Any, shown: Any = None
+) -> Any:
+    """The acceleration by a force, m/s² along body axes; p are 1/μ, μ and its parameters.
+
+    ``shown`` shows the numbers of the torque's terms.
+    """
+    pose = Pose(QUATERNION, q, w, coupled=coupled, mass=p[1], shown=shown)
     acting = force.formula(t, pose, p[2:])
     return scale(p[0], as_like(tuple(acting), q[0]))
 
@@ -410,7 +430,9 @@ class Coupled(EquationsOfMotion):
         v, r = coupled.velocity, coupled.position
         q, w = self.stage.pose(t, a, coupled)
         q = quat.renormalise(q)
-        push = acceleration(force, self.instant(t), q, w, coupled, self._numbers)
+        time, body = self.instant(t), self.stage
+        shown = body.shown(time, coupled) if isinstance(body, Body) else None
+        push = acceleration(force, time, q, w, coupled, self._numbers, shown)
         if r:
             terms = force.having("squared_rate", None, self._numbers[2:])
             self._squares += [x.squared_rate(r) for x in terms]
@@ -428,12 +450,15 @@ class Coupled(EquationsOfMotion):
         n = len(rotated) - self._states
         return (*rotated[:n], *translated, *rotated[n:])
 
-    def updated(self, t: Any, x: Vector) -> Vector:
-        """The state after a sample time, of a body: its states jump, all else goes on."""
+    def updated(self, t: Any, x: Vector, *jump: Any) -> Vector:
+        """The state after a sample time, of a body: its states jump, all else goes on.
+
+        ``jump`` is one of the law's.
+        """
         assert isinstance(self.inner, Body)
         a, moved = self._split(x)
         base, n = self.inner.base(a), self.plain.size
-        states = self.inner.updated_states(t, base[:n], base[n:], self._named(moved))
+        states = self.inner.updated_states(t, base[:n], base[n:], self._named(moved), *jump)
         return (*x[: len(x) - self._states], *states)
 
     def base(self, x: Vector) -> Vector:

@@ -144,6 +144,9 @@ class Custom(UserModel, Force):
     uses_position : bool, default False
         Whether the function depends on the position. Attitude, velocity and position are then
         stepped as one system, by methods for which ``Method.couples`` is True.
+    reads : str or tuple of str, default ()
+        Names of terms of the torque, a :class:`fastatt.torques.Sum`, whose numbers the function
+        takes as tuples, one for each name, before s: ``force(t, q, w, v, valve, p)``.
 
     Examples
     --------
@@ -154,11 +157,13 @@ class Custom(UserModel, Force):
     """
 
     uses_position: bool = False
+    reads: str | tuple[str, ...] = ()  # type: ignore[misc]
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
         v, r, s = pose.coupled
         placed = (r,) if self.uses_position else ()
-        return self.function.call(t, pose.quaternion, pose.w, v, *placed, s, self.params)
+        read = map(pose.shown, self.reads)
+        return self.function.call(t, pose.quaternion, pose.w, v, *placed, *read, s, self.params)
 
     def takes(self, states: int) -> int:
         """The number of a scene's states that the function takes, by the number of its arguments.
@@ -169,12 +174,14 @@ class Custom(UserModel, Force):
         if not isinstance(function, UserFunction):
             function = UserFunction(function)
         names, form = function.required, FORMS[self.form]
-        more = len(names) - len(form.before) - 1
+        more = len(names) - len(form.before) - len(self.reads) - 1
         if more <= 0:
             return 0
         # the states, not a position that was not asked for
         if more > 1 or not states or ("r" in names and not self.uses_position):
-            calls = [FORMS[name].with_states(n).call for name in _FORMS for n in (0, 1)]
+            reads = [(name, 0) for name in self.reads]
+            forms = [FORMS[name].with_reads(reads) for name in _FORMS]
+            calls = [form.with_states(n).call for form in forms for n in (0, 1)]
             raise TypeError(
                 f"force: found {function.called_as}; accepted: "
                 f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "

@@ -11,14 +11,15 @@ import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, NamedTuple, Self, dataclass_transform, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
-from fastatt._cached import cached_property
-from fastatt.scene.time_series import TableLayout, TimeSeries, recorded
+from fastatt.scene.law import Law, LookUp, Reading, Sampling, Term
+from fastatt.scene.time_series import TimeSeries
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.user import FORMS, user_function
 
@@ -40,6 +41,16 @@ class Packing(NamedTuple):
     argument: str
     tables: Tables
     states: int = 0
+    #: how many numbers the terms of the torque show, by their names
+    shown: Mapping[str, int] = MappingProxyType({})
+
+    def size_of(self, label: str, name: str) -> int:
+        """How many numbers a name stands for; refuses one that no term has."""
+        if name not in self.shown:
+            known = ", ".join(map(repr, self.shown))
+            accepted = known or 'names of terms that show numbers, of torques.Sum({"name": term})'
+            raise ValueError(f"{label}: found {name!r}; accepted: {accepted}")
+        return self.shown[name]
 
 
 @dataclass(frozen=True)
@@ -108,13 +119,6 @@ TabledVector = Annotated[ArrayLike | TimeSeries, Field((3,), table="values")]
 TabledMomentum = Annotated[ArrayLike | TimeSeries, Field((3,), table="slopes")]
 
 
-class Sampling(NamedTuple):
-    """Times at which states jump: start + k period for all whole k, s."""
-
-    period: float
-    start: float
-
-
 @dataclass_transform(frozen_default=True)
 class Model:
     """Base of all models; fields that are annotated with a ``Field`` are parameters.
@@ -133,7 +137,7 @@ class Model:
     #: derivatives after the rate or torque, in one tuple
     states: ClassVar[int] = 0
     #: when its states jump, by ``update``, of one whose states do
-    sampling: ClassVar[Sampling | None] = None
+    samplings: ClassVar[tuple[Sampling, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         dataclass(frozen=True)(cls)
@@ -152,8 +156,21 @@ class Model:
         """The formula along the axes of the state."""
         return self.formula(*state)
 
-    def update(self, t: Any, pose: Any, states: Vector) -> Any:
+    def update(self, t: Any, pose: Any, states: Vector, sampling: Sampling) -> Any:
         """The states after a sample time, of those before."""
+        return states
+
+    @property
+    def steps(self) -> tuple[bool, ...]:
+        """Which of its states change at sample times only."""
+        return (False,) * self.states
+
+    def shown(self) -> Mapping[str, int]:
+        """How many numbers other terms may read, by what follows the name of the term."""
+        return {}
+
+    def show(self, name: str, t: Any, pose: Any, states: Vector) -> Vector:
+        """Numbers of a packed term that others read."""
         return states
 
     def corners(self) -> NDArray[np.float64]:
@@ -176,10 +193,9 @@ class Model:
         """The arguments of the constructor."""
         return tuple(getattr(self, field.name) for field in dataclasses.fields(self))  # type: ignore[arg-type]
 
-    @classmethod
-    def of(cls, values: Iterable[Any]) -> Self:
+    def of(self, values: Iterable[Any]) -> Self:
         """A model with other ``values``."""
-        return cls(*values)
+        return type(self)(*values)
 
     def pack(self, packing: Packing) -> PackedTerm:
         """Check the parameters and lay them out flat.
@@ -189,10 +205,13 @@ class Model:
         """
         name, tables = f"{packing.argument}: {type(self).__name__}", packing.tables
         columns: list[NDArray[np.float64]] = []
-        look_ups: list[LookUp | None] = []
+        look_ups: list[LookUp | Reading | None] = []
         for key, field in self.fields.items():
             value, label = getattr(self, key), f"{name}.{key}"
-            if isinstance(value, TimeSeries):
+            if isinstance(value, str) and field.table and len(field.shape) == 1:
+                columns.append(np.zeros(0))
+                look_ups.append(_reading(field, label, value, packing))
+            elif isinstance(value, TimeSeries):
                 field.check_table(label, value)
                 rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
                 columns.append(rows)
@@ -211,24 +230,79 @@ class Model:
         return term, params
 
 
+def _reading(field: Field, label: str, name: str, packing: Packing) -> Reading:
+    """What a field reads; refuses what does not fit it."""
+    size = packing.size_of(label, name)
+    if (size,) != field.shape:
+        raise ValueError(
+            f"{label}: found {name!r}, which has {size} numbers; accepted: {field.shape[0]}"
+        )
+    return Reading(name, field.table == "slopes")
+
+
 class Sum(Model):
     """The sum of several models of one kind.
 
     Parameters
     ----------
-    terms : sequence of models
-        The rates, torques or forces to be added.
+    terms : sequence or mapping of models
+        The rates, torques or forces to be added; of torques also a mapping of names to them, by
+        which terms read each other.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The names of the terms, none of a sequence.
+
+    Raises
+    ------
+    ValueError
+        If there are no terms, or a name is no identifier or that of a Sum.
+
+    Notes
+    -----
+    Terms of a mapping show numbers under their names: ``torques.Custom`` its states,
+    ``SampledControl`` what it holds, ``ReactionWheels`` the angular momenta and, as
+    ``"name.speeds"``, the speeds. The functions of ``torques.Custom``, ``SampledControl`` and
+    ``forces.Custom`` take those that their ``reads`` names, and a vector that may be a table may be
+    a name: ``MagneticDipole("bdot", field)``. Terms read states, and what follows from states and
+    w, never torques, so that the order of the terms matters at sample times only. There, those
+    that are due compute in the order of the terms; each reads what those before it have just
+    computed, and of later ones what they have held until then.
 
     Examples
     --------
     >>> import fastatt as fa
     >>> both = fa.torques.Sum((fa.torques.Constant((0.1, 0.0, 0.0)), fa.torques.Damping(0.02)))
+
+    A dipole that is computed once a second and held, and the torque on it:
+
+    >>> def bdot(t, q, w, p):
+    ...     return [-p[0] * x for x in w]
+    >>> held = fa.torques.SampledControl(bdot, 1.0, params=(2.0,), holds=3)
+    >>> rods = fa.torques.MagneticDipole("bdot", (0.0, 2e-5, 0.0))
+    >>> scene = fa.Scene(inertia=(1, 1, 1), torque=fa.torques.Sum({"bdot": held, "rods": rods}))
+    >>> scene.parts
+    {'bdot': slice(0, 3, None)}
     """
 
-    terms: Sequence[Model]
+    terms: Sequence[Model] | Mapping[str, Model]
+    names: tuple[str, ...] = dataclasses.field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        terms = checks.several("Sum.terms", self.terms, "models")
+        terms = self.terms
+        if isinstance(terms, Mapping):
+            object.__setattr__(self, "names", tuple(terms))
+            for name, term in terms.items():
+                if not str(name).isidentifier():
+                    raise ValueError(f"Sum.terms: found the name {name!r}; accepted: identifiers")
+                if isinstance(term, Sum):
+                    raise ValueError(  # noqa: TRY004
+                        f"Sum.terms: found a Sum with the name {name!r}; accepted: its terms, each "
+                        "with its name"
+                    )
+            terms = tuple(terms.values())
+        terms = checks.several("Sum.terms", terms, "models")
         if not terms:
             raise ValueError("Sum.terms: is empty; accepted: one model or more")
         object.__setattr__(self, "terms", tuple(terms))
@@ -238,14 +312,19 @@ class Sum(Model):
         """The terms."""
         return tuple(self.terms)
 
-    @classmethod
-    def of(cls, values: Iterable[Any]) -> Self:
-        """A sum of other terms."""
-        return cls(tuple(values))
+    def of(self, values: Iterable[Any]) -> Self:
+        """A sum of other terms with the same names."""
+        terms = tuple(values)
+        return type(self)(dict(zip(self.names, terms, strict=True)) if self.names else terms)
+
+    @property
+    def named(self) -> list[tuple[str, Model]]:
+        """The terms with their names, "" for those without."""
+        return list(zip(self.names or ("",) * len(self.values), self.values, strict=True))
 
     def corners(self) -> NDArray[np.float64]:
         """Those of the terms."""
-        return np.concatenate([term.corners() for term in self.terms])
+        return np.concatenate([term.corners() for term in self.values])
 
 
 class UserModel(Model):
@@ -253,6 +332,15 @@ class UserModel(Model):
 
     function: Callable[..., Any]
     params: Parameters = None
+    #: names of terms whose numbers the function takes, before its states
+    reads: ClassVar[Any] = ()
+
+    def __post_init__(self) -> None:
+        if self.reads != ():
+            object.__setattr__(self, "reads", names_in(f"{type(self).__name__}.reads", self.reads))
+
+    def shown(self) -> Mapping[str, int]:
+        return {"": self.states} if self.states else {}
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
@@ -275,126 +363,37 @@ class UserModel(Model):
         """The term of a function, followed or compiled, and its parameters, (P,) or (N, P)."""
         params = join([parameters("params", self.params)], packing.n_bodies, "params")
         n, states = params.shape[-1], self.takes(packing.states)
-        function = user_function(self.function, self.form, n, params, states)
+        function = user_function(
+            self.function, self.form, n, params, states, reads=readings(self.reads, packing)
+        )
         packing.tables.update(function.tables)
         return Term(replace(self, function=function, params=None), (n,), (None,)), params
 
 
-class LookUp(NamedTuple):
-    """A field that is a table: its array's number, its layout, whether slopes are needed."""
-
-    number: int
-    form: TableLayout
-    slopes: bool
-
-    def numbers(self, t: Any, p: Any) -> tuple[Any, ...]:
-        """The values that a formula receives for the field; p is the row, if there are several."""
-        numbers, size = recorded(self.number, self.form, t, *p), self.form.size
-        return (numbers[:size], numbers[size:]) if self.slopes else numbers[:size]
+def names_in(label: str, reads: Any) -> tuple[str, ...]:
+    """The names of what a function reads, of one or of several."""
+    names = (reads,) if isinstance(reads, str) else reads
+    if not isinstance(names, (tuple, list)) or not all(isinstance(x, str) for x in names):
+        raise TypeError(
+            f"{label}: found {checks.brief(reads)}; accepted: a name or a tuple of them"
+        )
+    return tuple(names)
 
 
-@dataclass(frozen=True)
-class Term:
-    """A model with None in place of its numbers, with the size of each field.
-
-    ``look_ups`` has an entry for each field, None if it is not a table.
-    """
-
-    model: Any
-    sizes: tuple[int, ...]
-    look_ups: tuple[LookUp | None, ...]
-
-    def numbers(self, t: Any, p: Any) -> Any:
-        """The model at a time, with fields from flat parameters or from tables."""
-        start, values = 0, {}
-        fields = self.model.fields.items()
-        for (name, field), size, look_up in zip(fields, self.sizes, self.look_ups, strict=True):
-            parameters = p[start : start + size]
-            values[name] = (
-                field.shaped(parameters) if look_up is None else look_up.numbers(t, parameters)
-            )
-            start += size
-        return replace(self.model, **values)
+def readings(names: Iterable[str], packing: Packing) -> tuple[tuple[str, int], ...]:
+    """What a function reads, with the size of each."""
+    return tuple((x, packing.size_of(f"{packing.argument}: reads", x)) for x in names)
 
 
-@dataclass(frozen=True)
-class Law:
-    """The models whose sum acts, without their numbers; none for a free body."""
-
-    terms: tuple[Term, ...]
-
-    @cached_property
-    def models(self) -> list[Any]:
-        """The models of the terms."""
-        return [term.model for term in self.terms]
-
-    @cached_property
-    def count(self) -> int:
-        """Number of parameters."""
-        return sum(sum(term.sizes) for term in self.terms)
-
-    def having(self, name: str, t: Any, p: Any) -> list[Any]:
-        """The models that have a method of a name, with their numbers at a time."""
-        start, having = 0, []
-        for term in self.terms:
-            n = sum(term.sizes)
-            if getattr(term.model, name) is not None:
-                having.append(term.numbers(t, p[start : start + n]))
-            start += n
-        return having
-
-    @cached_property
-    def states(self) -> int:
-        """The number of its states."""
-        return sum(model.states for model in self.models)
-
-    def formula(self, *arguments: Any, states: Vector = ()) -> Any:
-        """The sum of the models' formulas at a time and further arguments, parameters last.
-
-        For a law with ``states``, their time derivatives follow the three components.
-        """
-        *state, p = arguments
-        start, results = 0, []
-        for model in self.having("formula", state[0], p):
-            states_of_model = (states[start : start + model.states],) if model.states else ()
-            results.append(model.evaluate(*state, *states_of_model))
-            start += model.states
-        columns = zip(*(result[:3] for result in results), strict=True)
-        acting = tuple(sum(column[1:], column[0]) for column in columns) or (0.0, 0.0, 0.0)
-        return (*acting, *(slope for result in results for slope in result[3:]))
-
-    @cached_property
-    def sampling(self) -> Sampling | None:
-        """When its states jump.
-
-        Raises ``ValueError`` for models whose states jump at different times.
-        """
-        clocks = {model.sampling for model in self.models} - {None}
-        if len(clocks) > 1:
-            listed = ", ".join(f"{x.period} s from {x.start} s" for x in sorted(clocks))
-            raise ValueError(
-                f"torque: found controllers that are sampled every {listed}; accepted: one period "
-                "and one start of all"
-            )
-        return clocks.pop() if clocks else None
-
-    def updated(self, t: Any, pose: Any, p: Any, states: Vector) -> Vector:
-        """The states after a sample time, of those before."""
-        after: list[Any] = []
-        for model in self.having("formula", t, p):
-            before = states[len(after) : len(after) + model.states]
-            after += model.update(t, pose, before) if before else ()
-        return tuple(after)
-
-    @cached_property
-    def is_constant(self) -> bool:
-        """Whether it is a rate that is constant along its axes."""
-        return all(model.is_constant for model in self.models)
-
-    @cached_property
-    def reads_position(self) -> bool:
-        """Whether it depends on the position."""
-        return any(model.reads_position for model in self.models)
+def shown_in(model: Any) -> dict[str, int]:
+    """How many numbers the terms of a sum show, by their names."""
+    shown: dict[str, int] = {}
+    for name, term in model.named if isinstance(model, Sum) else ():
+        of_term = {name + key: n for key, n in term.shown().items()} if name else shown_in(term)
+        for twice in sorted(shown.keys() & of_term.keys()):
+            raise ValueError(f"Sum.terms: found the name {twice!r} twice; accepted: once")
+        shown |= of_term
+    return shown
 
 
 class Packed(NamedTuple):
@@ -417,7 +416,7 @@ def pack(model: Any, base: type[Model], n_bodies: int | None, **others: Any) -> 
     Raises ``TypeError`` if it is not a model, ``ValueError`` for numbers that are not finite or of
     the wrong shape.
     """
-    packing = Packing(n_bodies, base.kind, **{"tables": {}} | others)
+    packing = Packing(n_bodies, base.kind, **{"tables": {}, "shown": shown_in(model)} | others)
     return Packed(*packed_law(model, base, packing), packing.tables)
 
 
@@ -425,9 +424,18 @@ def packed_law(model: Any, base: type[Model], packing: Packing) -> PackedLaw:
     """The law of a model or of a sum of them, and its parameters."""
     argument = packing.argument
     if isinstance(model, Sum):
+        if model.names and base.kind != "torque":
+            raise ValueError(
+                f"{argument}: found a Sum with names, {', '.join(model.names)}; accepted: a "
+                "sequence of terms, since only terms of a torque read each other"
+            )
         packing = packing._replace(argument=f"{argument}: Sum")
         laws, columns = zip(*(packed_law(x, base, packing) for x in model.terms), strict=True)
-        terms = tuple(term for law in laws for term in law.terms)
+        terms = tuple(
+            replace(term, name=term.name or name)
+            for law, (name, _) in zip(laws, model.named, strict=True)
+            for term in law.terms
+        )
         return Law(terms), join(columns, packing.n_bodies, packing.argument)
     if isinstance(model, base):
         term, params = model.pack(packing)

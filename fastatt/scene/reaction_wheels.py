@@ -11,16 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.inertia import is_tensor
-from fastatt.scene.models import (
-    Field,
-    Law,
-    PackedTerm,
-    Packing,
-    Parameters,
-    Sampling,
-    Term,
-    join,
-)
+from fastatt.scene.law import Law, Sampling, Term
+from fastatt.scene.models import Field, PackedTerm, Packing, Parameters, join
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
@@ -177,6 +169,11 @@ class ReactionWheels(Torque):
         if isinstance(self.command, models.Model):
             of_command = packing._replace(argument=f"{name}.command")
             command, columns["params"] = models.packed_law(self.command, Torque, of_command)
+            if any(x.exerts_nothing for x in command.models):
+                raise ValueError(
+                    f"{name}.command: found SampledControl with holds, which exerts nothing; "
+                    "accepted: a torque on the body"
+                )
             inverse = -np.linalg.pinv(axes)  # of rows a_k: (3, K)
             columns["distribution"] = np.swapaxes(inverse, -1, -2).reshape(*axes.shape[:-2], -1)
         elif self.command is not None:
@@ -189,9 +186,14 @@ class ReactionWheels(Torque):
         states += command.states if isinstance(command, Law) else 0
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
-        driven = _Driven(**nothing, command=command, states=states, sampled=sampled)
+        driven = _Driven(**nothing, command=command, states=states, sampled=sampled, count=count)
         term = Term(driven, sizes, (None,) * len(sizes))
         return term, join(list(columns.values()), packing.n_bodies, name)
+
+    def shown(self) -> dict[str, int]:
+        """The angular momenta and the speeds of the wheels."""
+        count = np.shape(self.axes)[-2]
+        return {"": count, ".speeds": count}
 
     def corners(self) -> NDArray[np.float64]:
         """Those of a command that is a model."""
@@ -356,10 +358,24 @@ class _Driven(Torque):
     states: int = 0  # type: ignore[misc]
     #: sample times of a command that is a function
     sampled: Sampling | None = None
+    #: the number of wheels
+    count: int = 0
 
     @property
-    def sampling(self) -> Any:  # type: ignore[override]
-        return self.command.sampling if isinstance(self.command, Law) else self.sampled
+    def samplings(self) -> Any:  # type: ignore[override]
+        if isinstance(self.command, Law):
+            return self.command.samplings
+        return () if self.sampled is None else (self.sampled,)
+
+    @property
+    def steps(self: Any) -> tuple[bool, ...]:
+        if isinstance(self.command, Law):
+            return (*(False,) * self.count, *self.command.steps)
+        return (*(False,) * self.count, *(self.sampled is not None,) * (self.states - self.count))
+
+    def show(self: Any, name: str, t: Any, pose: Pose, states: Vector) -> Vector:
+        momenta = states[: len(self.inertia)]
+        return self._speeds(momenta, pose.along_body) if name == "speeds" else momenta
 
     @property
     def reads_position(self) -> bool:  # type: ignore[override]
@@ -389,11 +405,12 @@ class _Driven(Torque):
             torque = quat.rotate_inverse(pose.axes, torque)
         return (*torque, *net, *slopes)
 
-    def update(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+    def update(self: Any, t: Any, pose: Pose, states: Vector, sampling: Sampling) -> Any:
         count = len(self.inertia)
         momenta, more = states[:count], states[count:]
         if isinstance(self.command, Law):
-            return (*momenta, *self.command.updated(t, pose, self.params, more))
+            inner = self.command.updated(t, pose, self.params, more, None, sampling)
+            return (*momenta, *inner)
         speeds = self._speeds(momenta, pose.along_body)
         return (*momenta, *self._called(t, pose, (*speeds, *more[count:])))
 

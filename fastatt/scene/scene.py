@@ -23,7 +23,8 @@ from fastatt.scene.inertia import (
     principal,
     sort_axes,
 )
-from fastatt.scene.models import Law, Packed, join, numbers, row_count
+from fastatt.scene.law import Law, Sampling
+from fastatt.scene.models import Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.user import UserFunction
@@ -72,6 +73,10 @@ class Scene:
     ----------
     rows : int or None
         Number of bodies if any number differs between bodies; None if all bodies share all numbers.
+    parts : dict of str to slice
+        Where the states of each term of a :class:`fastatt.torques.Sum` with names are in ``run.s``
+        and ``s0``. ``s0`` may also be a mapping of these names to initial values, (n,) or (N, n);
+        those of controllers may be missing, and are then 0.
 
     Raises
     ------
@@ -129,7 +134,9 @@ class Scene:
     #: whether a torque or a force depends on the position, which is then propagated
     needs_position: ClassVar[bool] = False
     #: when states of a sampled controller jump
-    sampling: ClassVar[models.Sampling | None] = None
+    samplings: ClassVar[tuple[Sampling, ...]] = ()
+    #: the samplings of the jumps, in their order
+    jumps: ClassVar[tuple[Sampling, ...]] = ()
     #: of the rate or the torque
     _law: ClassVar[Law]
 
@@ -175,8 +182,8 @@ class Scene:
             )
         object.__setattr__(self, "_law", structure.rotation.law)
         object.__setattr__(self, "states", carried)
-        # refuses two clocks
-        object.__setattr__(self, "sampling", structure.rotation.law.sampling)
+        object.__setattr__(self, "samplings", structure.rotation.law.samplings)
+        object.__setattr__(self, "jumps", tuple(x for _, x in structure.rotation.law.jumps))
         # computed once, since it takes long for many bodies
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
@@ -263,6 +270,13 @@ class Scene:
         return torque_record.dependence(self._law, turned=turned)
 
     @property
+    def parts(self) -> dict[str, slice]:
+        """Where the states of each term with a name are in ``run.s`` and ``s0``."""
+        return {
+            x.term.name: x.states for x in self._law.places if x.term.name and x.term.model.states
+        }
+
+    @property
     def reads_position(self) -> bool:
         """Whether the torque depends on the position."""
         return self._law.reads_position
@@ -336,6 +350,7 @@ class Scene:
         elif callable(model):
             model = forces.Custom(model)
         given = {"tables": packed.tables, "states": packed.structure.rotation.law.states}
+        given["shown"] = models.shown_in(self.torque)
         force = models.pack(model, forces.Force, n_bodies, **given)
         columns = [packed.params, 1.0 / mass[..., None], mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
@@ -410,7 +425,9 @@ def _kept(value: Any) -> Any:
 def _key(value: Any) -> Any:
     """A hashable value that is equal for equal numbers."""
     if isinstance(value, models.Model):
-        return (type(value), *map(_key, value.values))
+        return (type(value), getattr(value, "names", ()), *map(_key, value.values))
+    if isinstance(value, tuple) and any(isinstance(x, str) for x in value):
+        return value
     if isinstance(value, (tuple, np.ndarray)):
         return np.shape(value), (np.asarray(value, np.float64) + 0.0).tobytes()  # −0 equals 0
     return value

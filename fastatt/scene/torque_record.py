@@ -17,15 +17,8 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.scene import models
-from fastatt.scene.models import (
-    Law,
-    Model,
-    Packed,
-    PackedTerm,
-    Packing,
-    Sum,
-    UserModel,
-)
+from fastatt.scene.law import Law
+from fastatt.scene.models import Model, Packed, PackedTerm, Packing, Sum, UserModel
 from fastatt.tracing.formulas import Vector, as_like, plus, quat
 from fastatt.tracing.user import UserFunction, user_function
 
@@ -73,10 +66,11 @@ class Pose:
         axes: Vector | None = None,
         wheels: Callable[[], Iterable[tuple[Any, Vector]]] = tuple,
         mass: Any = None,
+        shown: Callable[[Pose, str], Vector] | None = None,
     ) -> None:
         self._attitude, self._x = attitude, x
         self.w, self.moments, self.coupled, self.axes = w, moments, coupled, axes
-        self.wheels, self.mass = wheels, mass
+        self.wheels, self.mass, self._shown = wheels, mass, shown
 
     @cached_property
     def quaternion(self) -> Any:
@@ -87,13 +81,19 @@ class Pose:
         """Components of an inertial vector along the axes of the pose."""
         return self._attitude.to_body(self._x, v)
 
+    def shown(self, name: str) -> Vector:
+        """The numbers that a term of the law shows, by its name."""
+        assert self._shown is not None
+        return self._shown(self, name)
+
     @cached_property
     def along_body(self) -> Pose:
         """The pose along the body axes."""
         if self.axes is None:
             return self
         q = quat.mul(self.quaternion, quat.conj(self.axes))
-        return Pose(QUATERNION, q, quat.rotate(self.axes, self.w), self.moments, self.coupled)
+        w, shown = quat.rotate(self.axes, self.w), self._shown
+        return Pose(QUATERNION, q, w, self.moments, self.coupled, shown=shown)
 
 
 class Torque(Model):
@@ -122,6 +122,8 @@ class Torque(Model):
     lever: ClassVar[Any] = None
     wheel_momentum: ClassVar[Any] = None
     wheels: ClassVar[Any] = None
+    #: whether it holds numbers for other terms and is no torque
+    exerts_nothing: ClassVar[bool] = False
 
     def evaluate(self, *state: Any) -> Any:
         """The torque along the axes of a pose, from (t, pose) and the states, if there are any."""
@@ -170,6 +172,9 @@ class Custom(UserModel, Torque):
         everything is stepped as one system, by methods for which ``Method.couples`` is True.
     states : int, default 0
         Number of states s of the function, which are stepped with the attitude as one system.
+    reads : str or tuple of str, default ()
+        Names of terms of a :class:`Sum`, whose numbers the function takes as tuples, one for each
+        name, before s: ``torque(t, q, w, wheels, p)``.
 
     Examples
     --------
@@ -183,6 +188,7 @@ class Custom(UserModel, Torque):
     potential: Callable[..., Any] | None = None
     uses_position: bool = False
     states: int = 0  # type: ignore[misc]
+    reads: str | tuple[str, ...] = ()  # type: ignore[misc]
 
     @property
     def depends(self) -> Dependence:  # type: ignore[override]
@@ -198,7 +204,10 @@ class Custom(UserModel, Torque):
 
     def formula(self: Any, t: Any, pose: Pose, *states: Vector) -> Any:
         placed = pose.coupled[:2] if self.uses_position else ()
-        torque = self.function.call(t, pose.quaternion, pose.w, *placed, *states, self.params)
+        read = map(pose.shown, self.reads)
+        torque = self.function.call(
+            t, pose.quaternion, pose.w, *placed, *read, *states, self.params
+        )
         return as_like(torque, pose.moments[0])
 
     def pack(self, packing: Packing) -> PackedTerm:

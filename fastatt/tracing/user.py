@@ -39,6 +39,7 @@ class Signature(NamedTuple):
     unit: str
     carries: bool = False
     states: int = 0
+    reads: tuple[tuple[str, int], ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -58,6 +59,13 @@ class Signature(NamedTuple):
         results = (n - own if self.results < 0 else self.results) + own
         return self._replace(call=call, before=(*self.before, n), results=results, states=own)
 
+    def with_reads(self, reads: Sequence[tuple[str, int]]) -> Signature:
+        """The signature of a function that takes numbers of other terms, before its states."""
+        names = "".join(f", {name.replace('.', '_')}" for name, _ in reads)
+        call = self.call.replace(", p)", f"{names}, p)")
+        before = *self.before, *(n for _, n in reads)
+        return self._replace(call=call, before=before, reads=tuple(reads))
+
 
 #: further names of arguments
 _MEANINGS = {
@@ -70,6 +78,7 @@ FORMS = {
     "torque at position": Signature(
         "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
     ),
+    "control": Signature("control(t, q, w, p)", (0, 4, 3), 3, "numbers", carries=True),
     "command": Signature("command(t, q, w, p)", (0, 4, 3), -1, "N·m"),
     "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
@@ -121,14 +130,19 @@ class UserFunction:
         params: NDArray[np.float64] | None = None,
         states: int = 0,
         own: int | None = None,
+        reads: Sequence[tuple[str, int]] = (),
+        results: int = 0,
     ) -> UserFunction:
         """The function for a form and a number of parameters, which it has from then on.
 
         ``params``, (P,) or (N, P), are parameters with which the function is tried, ``states`` is
         the number of states that it takes, and ``own`` how many of them it carries itself, all or
-        none by default.
+        none by default. ``reads`` are the names and sizes of what other terms show it, and
+        ``results`` are how many numbers it returns, if its form leaves that open.
         """
-        argument, signature = form.partition(" ")[0], FORMS[form].with_states(states, own)
+        argument, signature = form.partition(" ")[0], FORMS[form].with_reads(reads)
+        signature = signature._replace(results=results or signature.results)
+        signature = signature.with_states(states, own)
         signature = signature if signature.results else signature._replace(results=n_params)
         if self._function is None and self.form is not None:
             if (signature, n_params) != (self.form, self.n_params):
@@ -140,7 +154,7 @@ class UserFunction:
         if not isinstance(frozen.inner_of(self._function), python.FunctionType):
             raise TypeError(
                 f"{argument}: found {checks.brief(self._function)}; accepted: a function "
-                f"{FORMS[form].with_states(states).call}"
+                f"{FORMS[form].with_reads(reads).with_states(states).call}"
             )
         self.argument, self.form, self.n_params = argument, signature, n_params
         self._check_arguments(form)
@@ -158,7 +172,8 @@ class UserFunction:
             if self.form.carries and not states:
                 accepted.append(f"with states=n {self.form.with_states(1).call}")
             if f"{form} at position" in FORMS:
-                placed = FORMS[f"{form} at position"].with_states(states)
+                placed = FORMS[f"{form} at position"].with_reads(self.form.reads)
+                placed = placed.with_states(states)
                 accepted.append(f"with uses_position=True {placed.call}")
             raise TypeError(
                 f"{self.argument}: found {self.called_as}; accepted: {', or '.join(accepted)}"

@@ -179,9 +179,10 @@ def check_convergence(
     precision = checks.precision(dtype, q0, w0, v0, r0, s0).name
     step = checks.real("dt", dt, zero=False)
     count = checks.whole("n_steps", n_steps, 1)
-    if scene.sampling is not None and abs(step) > scene.sampling.period * (1.0 + 1e-9):
+    fastest = min((x.period for x in scene.samplings), default=math.inf)
+    if abs(step) > fastest * (1.0 + 1e-9):
         raise ValueError(
-            f"dt: found {step} with a controller that is sampled every {scene.sampling.period} s; "
+            f"dt: found {step} with a controller that is sampled every {fastest} s; "
             "accepted: at most that, since longer steps are divided at the samples"
         )
     whole = Problem(ensemble, step * count, checks.real("t0", t0), n_threads)
@@ -256,7 +257,7 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
             break
     best = max(orders, default=None)
     scene = ladder.problem.ensemble.scene
-    is_divided = corners_of(scene).size > 0 or scene.sampling is not None
+    is_divided = corners_of(scene).size > 0 or bool(scene.samplings)
     # the parts of a step between breakpoints do not shrink in proportion to the step size
     if best is not None and best < declared - _SLACK and hidden and is_divided:
         return None

@@ -139,7 +139,7 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: An
     rotation, n = structure.rotation, structure.rotation.n_params
     r = r if structure.position else ()
     params, q = p[:n], quat.normalise(q)
-    accelerations = []
+    accelerations, motion = [], None
     if isinstance(rotation, PrescribedRate):
         accelerations.append(rotation.law.formula(t, params, states=s)[:3])
     else:
@@ -150,5 +150,7 @@ def _formula(structure: Structure, t: Any, q: Any, w: Any, v: Any, r: Any, s: An
         inverse = zip(motion.half_inverse, torque[:3], strict=True)
         accelerations.append(tuple(2.0 * k * x for k, x in inverse))
     if structure.force is not None:
-        accelerations.append(acceleration(structure.force, t, q, w, CoupledStates(v, r, s), p[n:]))
+        coupled = CoupledStates(v, r, s)
+        shown = motion.shown(t, coupled) if isinstance(motion, Body) else None
+        accelerations.append(acceleration(structure.force, t, q, w, coupled, p[n:], shown))
     return tuple(accelerations)

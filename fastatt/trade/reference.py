@@ -157,8 +157,9 @@ def samples_of_control(problem: Problem) -> int:
 
     Longer steps would end at the samples all the same, but errors are measured after steps.
     """
-    sampling = problem.ensemble.scene.sampling
-    return 1 if sampling is None else math.ceil(abs(problem.duration) / sampling.period)
+    scene = problem.ensemble.scene
+    periods = [x.period for x in scene.samplings]
+    return math.ceil(abs(problem.duration) / min(periods)) if periods else 1
 
 
 def _tight(problem: Problem, method: str, most: int, goal: float, samples: int) -> Reference:

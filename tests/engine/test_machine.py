@@ -74,6 +74,7 @@ def random_tape(rng, slots, forks):
         is_copied = action == Action.FORK or (is_copied and action != Action.JOIN)
         first = int(rng.integers(0, 4))
         numbers = first, first + int(rng.integers(0, 3)), int(rng.integers(0, slots))
+        action += int(rng.integers(0, 3)) if action == Action.JUMP else 0  # of each controller
         rows.append((action, *numbers, *rng.uniform(0.1, 0.5, 5)))
     return np.array(rows, RECORD)
 
@@ -100,7 +101,7 @@ def interpreted(tape, bodies):
                 copied = rows[:FORKED].copy()
             elif action == Action.JOIN:
                 rows[:FORKED] = copied
-            if action >= Action.FORK:
+            if Action.FORK <= action < Action.JUMP:
                 continue
             before = rows.copy()
             formula(action, rows, wide, numbers, s["first"], s["end"], False)

@@ -34,16 +34,17 @@ def read(records):
     """The actions with the numbers that matter for each, and CLOCK where another one is used."""
     found, clock = [], None
     for x in records:
-        action = Action(int(x["action"]))
+        later = max(0, int(x["action"]) - Action.JUMP)  # JUMP+1: of the second controller
+        action = Action(int(x["action"]) - later)
         now = [float(x[name]) for name in tape.CLOCK]
-        if action < Action.FORK and now != clock:
+        if not Action.FORK <= action <= Action.RESTORE and now != clock:
             found.append(f"CLOCK {round(now[0], 9):g} {round(now[1], 9):g}")
             clock = now
         numbers = {
             "STEPS": ("first", "end"), "SAVE": ("first", "slot"), "LEAVE": ("first",),
             "ENTER": ("first",), "JUMP": ("first",), "LOOK": ("first",), "MIDDLE": ("first",),
         }.get(action.name, ())  # fmt: skip
-        found.append(" ".join([action.name, *(f"{x[n]:g}" for n in numbers)]))
+        found.append(" ".join([action.name + "+1" * later, *(f"{x[n]:g}" for n in numbers)]))
     return found
 
 
@@ -108,6 +109,14 @@ def test_states_jump_at_sample_times():
     assert whole(legs_of(0.5, 2, breaks), saves_at(1.0)) == [
         "CLOCK 0.5 0", "START", "LEAVE 0", "JUMP 0", "ENTER 0", "STEPS 0 1",
         "LEAVE 1", "CLOCK 0.5 0", "JUMP 1", "ENTER 1", "STEPS 1 2", "SAVE 2 0", "STATUS",
+    ]  # fmt: skip
+
+
+def test_controllers_that_are_due_jump_in_their_order():
+    breaks = breaks_at(0.5)._replace(jumps=np.array([0b11, 0b10]))
+    assert whole(legs_of(0.5, 2, breaks), saves_at(1.0)) == [
+        "CLOCK 0.5 0", "START", "LEAVE 0", "JUMP 0", "JUMP+1 0", "ENTER 0", "STEPS 0 1",
+        "LEAVE 1", "CLOCK 0.5 0", "JUMP+1 1", "ENTER 1", "STEPS 1 2", "SAVE 2 0", "STATUS",
     ]  # fmt: skip
 
 
