@@ -16,7 +16,7 @@ OWN = RNG.uniform(0.1, 0.5, (N, 2))
 
 
 def swing(t, q, w, p):
-    return p[0] * np.sin(3.0 * t), p[1] * w[1] - q[1], 0.1
+    return p[0] * np.sin(3.0 * t), p[1] * w[1] - q[0] * q[1], 0.1
 
 
 def pulse(t, q, w, p):

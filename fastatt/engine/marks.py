@@ -61,12 +61,13 @@ def groups(job: Job) -> dict[str, int]:
     The state before the last step, and before the marked step of each event, with what the method
     prepared; of each event the values after the last two steps, or at both ends of the marked step;
     the step up to which marks are ignored and the marked step, both counted from the end of the
-    piece, NaN if there are none; the largest angle before the last step; values in the middle.
+    piece, NaN if there are none; 1 if a value was not finite; the largest angle before the last
+    step; values in the middle.
     """
     n = len(job.events)
     return {
         "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
-        "after": n, "skip": n, "mark": n, "held": int(n > 0), "middle": n,
+        "after": n, "skip": n, "mark": n, "lost": n, "held": int(n > 0), "middle": n,
     }  # fmt: skip
 
 
@@ -135,10 +136,10 @@ def after_step(scope: Scope) -> Flat:
     step = CLASSES[scope.precision](scope.graph.input("double", "step"))
     marked = scope.inputs("marked", (n + len(e)) * len(events))
     goes_on, stays = going_on(scope), [*x]
-    new: dict[str, list[Any]] = {name: [] for name in ("marked", "before", "after", "mark")}
-    names = ("before", "after", "skip", "mark", "middle")
+    new: dict[str, list[Any]] = {name: [] for name in ("marked", "before", "after", "mark", "lost")}
+    names = ("before", "after", "skip", "mark", "lost", "middle")
     kept = zip(*(_each(scope, name) for name in names), _now(scope), strict=True)
-    for i, (event, (before, after, skip, mark, middle, now)) in enumerate(
+    for i, (event, (before, after, skip, mark, lost, middle, now)) in enumerate(
         zip(events, kept, strict=True)
     ):
         # of the parabola through the last values; after a breakpoint of that through the middle
@@ -152,6 +153,8 @@ def after_step(scope: Scope) -> Flat:
         new["before"].append(choose(has_mark, before, after))
         new["after"].append(choose(has_mark, after, now))
         new["mark"].append(choose(is_new, step, mark))
+        is_seen = either(abs(now) < math.inf, negated(goes_on))
+        new["lost"].append(choose(is_seen, lost, 1.0))
         if event.terminal:
             is_marked = either(has_mark, is_new)
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
@@ -162,7 +165,7 @@ def after_step(scope: Scope) -> Flat:
 
 def crosses(a: Any, b: Any, direction: int) -> Any:
     """Whether a function that goes from a to b reaches or leaves zero, rising, falling or both."""
-    rises, falls = (a <= 0.0) & (b >= 0.0), (a >= 0.0) & (b <= 0.0)
+    rises, falls = (a <= 0.0) & (b >= 0.0) & (a < b), (a >= 0.0) & (b <= 0.0) & (a > b)
     if direction == 0:
         return rises | falls
     return rises if direction > 0 else falls
@@ -184,16 +187,15 @@ def turns(a: Any, b: Any, c: Any) -> Any:
 
 
 def locate(
-    value: Callable[[Times, Any], Times], at_low: Times, at_high: Times, direction: int,
-    least: Times,
-) -> Times:  # fmt: skip
+    value: Callable[[Times, Any], Times], low: Points, at_high: Times, direction: int, least: Times
+) -> Times:
     """The shares of steps at which a function crosses zero, NaN where it does not.
 
-    ``value`` evaluates it at shares of some of the steps, at whose ends it has the given values;
-    ``least`` is the width that ends a bracket.
+    ``value`` evaluates it at shares of some of the steps. It is known at the shares ``low``, from
+    which on it is looked for, and at the end; ``least`` is the width that ends a bracket.
     """
-    low, high = (np.zeros(at_low.size), at_low), (np.ones(at_low.size), at_high)
-    crossed = crosses(at_low, at_high, direction)
+    high = np.ones(at_high.size), at_high
+    crossed = crosses(low[1], at_high, direction)
     if not crossed.all():
         rows = np.flatnonzero(~crossed)
         first, last = ((share[rows], values[rows]) for share, values in (low, high))
@@ -212,10 +214,12 @@ def _between(
     The extremum is searched until the function has the other sign, or bends away from zero. Where
     it is exactly zero in between, it has crossed, and crosses back after that point.
     """
-    side, point = np.copysign(1.0, low[1] + high[1]), np.full(low[0].size, 0.5)
-    inner, inside, todo = (point, value(point)), np.zeros(point.size, bool), point > 0.0
+    side, point = np.copysign(1.0, low[1] + high[1]), 0.5 * (low[0] + high[0])
+    inner, inside, todo = (point, value(point)), np.zeros(point.size, bool), low[0] < high[0]
+    todo &= (low[1] != 0.0) | (high[1] != 0.0)
     for trial in range(_FEW):
-        inner = inner[0], np.where(inner[1] == 0.0, -_SMALLEST * side, inner[1])
+        touches = (inner[1] == 0.0) & (low[1] != 0.0) & (high[1] != 0.0)
+        inner = inner[0], np.where(touches, -_SMALLEST * side, inner[1])
         first = todo & crosses(low[1], inner[1], direction)
         second = todo & ~first & crosses(inner[1], high[1], direction)
         low, high = _chosen(second, inner, low), _chosen(first, inner, high)
@@ -245,19 +249,25 @@ def _chosen(test: Any, a: Points, b: Points) -> Points:
 def _bracketed(value: Callable[[Times, Any], Times], brackets: Times, rows: Any) -> Times:
     """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020)).
 
-    NaN but in the given ``rows``, and where the function is NaN.
+    NaN but in the given ``rows``, and where the function is NaN. Of a function that is zero at one
+    end this is where it reaches or leaves zero, by the step function that is 1 on the other side.
     """
     share, brackets = np.full(brackets.shape[1], np.nan), brackets[:, rows]
+    leaves, reaches = brackets[1] == 0.0, brackets[3] == 0.0
+    flat = 1.0 * reaches - leaves
+    brackets[1], brackets[3] = np.where(flat, -1.0, brackets[1]), np.where(flat, 1.0, brackets[3])
+    brackets = np.vstack([brackets, flat])
     for _ in range(_MOST):
-        low, at_low, high, at_high, radius, least = brackets
+        low, at_low, high, at_high, radius, least, flat = brackets
         # the end that is nearer to zero
-        share[rows] = np.where(np.abs(at_low) <= np.abs(at_high), low, high)
+        is_low = np.where(flat != 0.0, flat < 0.0, np.abs(at_low) <= np.abs(at_high))
+        share[rows] = np.where(is_low, low, high)
         share[rows[np.isnan(at_low + at_high)]] = np.nan
         todo = (high - low > 4.0 * least) & (at_low * at_high < 0.0)
         rows, brackets = rows[todo], brackets[:, todo]
         if not rows.size:
             break
-        low, at_low, high, at_high, radius, least = brackets
+        low, at_low, high, at_high, radius, least, flat = brackets
         width, middle = high - low, 0.5 * (low + high)
         slack = np.maximum(radius - 0.5 * width, 0.0)
         point = low - at_low * (width / (at_high - at_low))
@@ -265,7 +275,9 @@ def _bracketed(value: Callable[[Times, Any], Times], brackets: Times, rows: Any)
         away = np.maximum(0.2 * width**2, least)
         point = np.where(away <= np.abs(middle - point), point + side * away, middle)
         point = np.where(np.abs(point - middle) <= slack, point, middle - side * slack)
-        new = point, value(point, rows)
+        there = value(point, rows)
+        stepped = np.where((there == 0.0) == (flat > 0.0), 1.0, -1.0)
+        new = point, np.where((flat != 0.0) & ~np.isnan(there), stepped, there)
         is_low = ((new[1] > 0.0) == (at_low > 0.0)) & (new[1] != 0.0)
         brackets[:2] = np.where(is_low, new, brackets[:2])
         brackets[2:4] = np.where(is_low, brackets[2:4], new)

@@ -74,6 +74,13 @@ class RunWithEvents(Run):
         self.states[:, self._event("skip")] = np.nan
         self._read_flags()
 
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Which events (N, E) were not located, and had a value that is not finite."""
+        is_lost = self.states[:, self._event("lost")] == 1.0
+        is_fine = self.results.status == 0
+        return np.asarray(is_lost & np.isnan(self.results.event_times) & is_fine[:, None])
+
     def _event(self, name: str) -> slice:
         """The columns of what bodies keep of each event."""
         first = self._program.rows[name]
@@ -91,7 +98,8 @@ class RunWithEvents(Run):
             if not rows.size:
                 continue
             legs, taken = self.steps.step_before(piece.position + marks[rows, i].astype(np.int64))
-            times[rows, i], final = self._crossings(i, rows, legs, taken)
+            is_first = (piece.position + marks[rows, i] - 1 == self.steps.first) & self.steps.is_new
+            times[rows, i], final = self._crossings(i, rows, legs, taken, is_first)
             missed = np.isnan(times[rows, i])
             begun[rows[missed], self._event("skip").start + i] = marks[rows[missed], i]
             ends[rows[missed], i] = (self.t0 + legs["begin"] + (taken + 1) * legs["dt"])[missed]
@@ -105,11 +113,12 @@ class RunWithEvents(Run):
         return np.flatnonzero(matters.any(axis=1))
 
     def _crossings(
-        self, i: int, rows: Array, legs: Legs, taken: Array
+        self, i: int, rows: Array, legs: Legs, taken: Array, is_first: Array
     ) -> tuple[Array, Array | None]:
         """The times at which the event i of bodies crosses zero in a step; NaN where it does not.
 
-        Next come the values that are saved then, if it is terminal.
+        A zero at the start of the first step, to rounding, is no crossing. Next come the values
+        that are saved then, if the event is terminal.
         """
         job, states = self._job, self.states[rows]
         size, event = job.size + job.prepared, job.events[i]
@@ -132,8 +141,16 @@ class RunWithEvents(Run):
             states[:, self._event(name)][:, i].astype(np.float64) for name in ("before", "after")
         )
         least = np.maximum(_POINTS[job.precision], np.abs(begin / dt + taken) * 2.0**-52)
+        # where a zero at the start is over, to rounding
+        slack = 16.0 * np.finfo(np.float64).eps * (np.abs(t) + np.abs(self.t0)) / np.abs(dt)
+        low = np.where(is_first, np.minimum(slack + 16.0 * least, 1.0), 0.0)
         with np.errstate(all="ignore"):
-            share = locate(lambda *of: stepped(*of)[0][:, i], before, past, event.direction, least)
+            if is_first.any():
+                some = np.flatnonzero(is_first)
+                before[some] = stepped(low[some], some)[0][:, i]
+            share = locate(
+                lambda *of: stepped(*of)[0][:, i], (low, before), past, event.direction, least
+            )
         times = np.where(share == 1.0, begin + (taken + 1) * dt, t + share * dt)
         if not event.terminal:
             return times, None

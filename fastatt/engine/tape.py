@@ -169,7 +169,7 @@ class Steps:
         has_events: bool = False, new: bool = True,
     ) -> None:  # fmt: skip
         self.legs, self._every, self._block, self._regrids = legs, every, block, regrids
-        self._resumes, self._has_events, self._new = resumes, has_events, new
+        self._resumes, self._has_events, self.is_new = resumes, has_events, new
         lengths, (saved, slack) = legs["end"] - legs["first"], saves
         self._stops = np.cumsum(lengths)
         self._starts = self._stops - lengths
@@ -278,7 +278,7 @@ class Steps:
         taken = np.diff(stops)
         stops, taken = stops[1:][taken > 0], taken[taken > 0]
         looks = starts if self._has_events else starts[:0]
-        if self._has_events and self._new and is_first and position < end:
+        if self._has_events and self.is_new and is_first and position < end:
             looks = np.union1d(looks, position)
         groups: list[tuple[Whole, Tape]] = []
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from fastatt import checks
+import numpy as np
+from numpy.typing import NDArray
+
+from fastatt import checks, rounding
 from fastatt.engine.marks import Event
 from fastatt.scene.models import parameters
 from fastatt.scene.scene import Scene
@@ -40,8 +43,10 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
         sign of the quaternion is continuous in the representation "quat" only.
     direction : {0, 1, -1}, default 0
         1 counts only crossings from negative to positive, in the order of the steps; -1 counts only
-        those from positive to negative, and 0 counts both. A value of exactly zero at the start or
-        the end of a step is a crossing.
+        those from positive to negative, and 0 counts both. A function that stays at zero for a
+        while, such as ``max(0, w[0] - 0.3)``, crosses where it reaches zero and where it leaves
+        zero, each in its direction. A zero at the start of the run is no crossing, so that a run
+        may begin at an event of another.
     terminal : bool, default False
         Whether the body stops at the event: all later saves hold its state at the event, its later
         events are not located, and its status does not change. The run continues for the other
@@ -65,7 +70,8 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     at both ends but approaches zero in between, the library searches for its extremum within the
     step, so that two crossings in one step are found too. They can be missed if g does not resemble
     a parabola within the step, for example at a kink. Of three crossings in one step any one may be
-    found. Where g is NaN there is no crossing.
+    found. Where g is not finite there is no crossing; a RuntimeWarning tells of an event that was
+    not located for a body where that was so.
 
     Examples
     --------
@@ -114,6 +120,18 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
         )
     params, states = parameters("params", scene.params), scene.states if is_of_states else 0
     return replace(event, function=function.of(form, params.shape[-1], params, states))
+
+
+def warn_of_lost(lost: NDArray[np.bool_]) -> None:
+    """Warn of events (N, E) that were not located, with values that are not finite."""
+    for i in np.flatnonzero(lost.any(axis=0)):
+        bodies = np.flatnonzero(lost[:, i])
+        rounding.warn(
+            f"events[{i}]: found values that are not finite, and no crossing, for {bodies.size} of "
+            f"{len(lost)} bodies, the first of them body {bodies[0]}; accepted: a function that is "
+            "finite during the run",
+            RuntimeWarning,
+        )
 
 
 def events_of(

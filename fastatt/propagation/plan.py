@@ -29,6 +29,7 @@ from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of
 from fastatt.propagation.choice_of_method import Choice
 from fastatt.propagation.end import MOST, Checkpoints, End
+from fastatt.propagation.event import warn_of_lost
 from fastatt.propagation.initial import Initial, initial
 from fastatt.propagation.limits import StepLimits
 from fastatt.propagation.output import History, InterruptedRun, Output, check_room
@@ -237,7 +238,7 @@ class Plan:
         other.
         """
         n, results, is_ring = self.n_bodies, output.results, output.is_ring
-        squares = np.zeros(n, self.dtype)
+        squares, lost = np.zeros(n, self.dtype), np.zeros(results.event_times.shape, np.bool_)
         warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
         is_one = is_ring or len(takers) > 1 or resumed is not None
         groups = self.schedule.groups(n, n if is_one else PART)
@@ -260,9 +261,12 @@ class Plan:
                     results.leave(others)
                 raise InterruptedRun(output.so_far()) from None
             squares[rows] = run.squares
+            if isinstance(run, RunWithEvents):
+                lost[rows] = run.lost
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
             warned = self.limits.warn(start, np.sqrt(squares), results.status)
+        warn_of_lost(lost)
         return run, warned
 
     def _kept(self, resumed: End | None) -> Mapping[str, Any] | None:

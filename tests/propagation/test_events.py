@@ -70,9 +70,18 @@ OF_TIME = [
     (lambda t, q, w, p: (t - 3.3) ** 3, 1, 3.3),
     (lambda t, q, w, p: t - 2.5, 1, 2.5),  # at the end of a step
     (lambda t, q, w, p: t - 10.0, 0, 10.0),  # of the last one
-    (lambda t, q, w, p: t, 0, 0.0),  # where the run begins
+    (lambda t, q, w, p: t, 0, np.nan),  # where the run begins
     (lambda t, q, w, p: t, -1, np.nan),
-    (lambda t, q, w, p: 0.0 * t, 0, 0.0),
+    (lambda t, q, w, p: 0.0 * t, 0, np.nan),
+    # where a function reaches zero, or leaves it, and stays there
+    (lambda t, q, w, p: max(0.0, t - 6.06), 1, 6.06),
+    (lambda t, q, w, p: max(0.0, t - 6.06), -1, np.nan),
+    (lambda t, q, w, p: max(0.0, 6.06 - t), -1, 6.06),
+    (lambda t, q, w, p: max(0.0, 6.06 - t), 1, np.nan),
+    (lambda t, q, w, p: max(0.0, 6.06 - t), 0, 6.06),
+    (lambda t, q, w, p: max(-0.3, min(0.0, t - 4.44)), 1, 4.44),
+    (lambda t, q, w, p: math.floor(t) - 2.0, 0, 2.0),
+    (lambda t, q, w, p: math.floor(t) - 2.0, -1, np.nan),
     (lambda t, q, w, p: t - 10.1, 0, np.nan),
     (lambda t, q, w, p: math.sqrt(1.1 - t), 0, np.nan),
     (lambda t, q, w, p: abs(t - 1.7) + 1e-3, 0, np.nan),
@@ -81,9 +90,12 @@ OF_TIME = [
 
 def test_times_of_functions_of_time():
     events = [fa.event(g, direction) for g, direction, _ in OF_TIME]
-    run = fa.propagate(
-        CONE, [1, 0, 0, 0], [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
-    )
+    message = r"events\[\d+\]: found values that are not finite, and no crossing, for 1 of 1"
+    with pytest.warns(RuntimeWarning, match=message) as told:
+        run = fa.propagate(
+            CONE, [1, 0, 0, 0], [0.5, 0.0, 1.0], dt=0.5, n_steps=20, method="rk8", events=events
+        )
+    assert len(told) == 1
     assert not run.status.any()
     wanted = np.array([x[2] for x in OF_TIME])
     triple = wanted == 3.3  # a root of order three
@@ -97,7 +109,8 @@ def test_a_crossing_at_a_save_has_the_time_of_the_save():
     scene = fa.Scene(inertia=(1.0, 1.0, 2.0), torque=still, params=saves[:, None])
     q0, reached = np.tile([1.0, 0.0, 0.0, 0.0], (61, 1)), fa.event(lambda t, q, w, p: t - p[0])
     run = fa.propagate(scene, q0, [0.5, 0.0, 1.0], **given, events=[reached])
-    assert np.array_equal(run.event_times[:, 0], saves)
+    assert np.array_equal(run.event_times[1:, 0], saves[1:])
+    assert np.isnan(run.event_times[0, 0])  # at the start
 
 
 def test_the_direction_of_a_crossing_at_a_point_of_the_search():
@@ -229,8 +242,45 @@ def test_a_function_that_is_not_traced():
 
 def test_a_function_that_is_no_number_flags_nothing():
     g = fa.event(lambda t, q, w, p: math.log(w[0]) if t > 0.0 else math.nan)
-    run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=[g])
+    with pytest.warns(RuntimeWarning, match=r"events\[0\]: found values that are not finite"):
+        run = fa.propagate(BODY, Q0, W0, **RUN, method="rk4", events=[g])
     assert not run.status.any()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("later", [0.0, 1e-15, 1e-12])
+def test_a_run_that_begins_at_an_event_goes_on_to_the_next(sign, later):
+    """Each root once, in loops that begin a run at the last one, or right after it."""
+    g, roots, t = fa.event(lambda t, q, w, p: math.cos(t) + 0.9), [], 0.0
+    while t < 18.0:
+        run = fa.propagate(
+            BODY, Q0[0], W0[0], t0=sign * t, dt=sign * 0.3, t_end=sign * 18.0, method="rk4",
+            events=[g],
+        )  # fmt: skip
+        if np.isnan(run.event_times[0]):
+            break
+        roots.append(sign * run.event_times[0])
+        t = roots[-1] * (1.0 + later)
+    first = math.acos(-0.9)
+    wanted = [2.0 * math.pi * k + s * first for k in range(4) for s in (1, -1)]
+    np.testing.assert_allclose(roots, sorted(x for x in wanted if 0.0 < x < 18.0), rtol=1e-14)
+
+
+def test_a_run_that_begins_at_an_event_of_the_motion():
+    """The state has rounding errors: in float32 the zero is not to the last digit of a double."""
+    for dtype in ("float64", "float32"):
+        g, ends = fa.event(lambda t, q, w, p: w[0], terminal=True), []
+        q, w, t = Q0[0], W0[0], 0.0
+        while t < 30.0:
+            run = fa.propagate(
+                BODY, q, w, t0=t, dt=0.1, t_end=30.0, method="rk8", dtype=dtype, events=[g]
+            )
+            if np.isnan(run.event_times[0]):
+                break
+            q, w, t = run.q[-1], run.w[-1], float(run.event_times[0])
+            ends.append(t)
+        assert len(ends) > 3
+        assert np.diff(ends).min() > 0.5
 
 
 def test_what_is_refused():
