@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,30 @@ from fastatt.scene.scene import Scene
 _EPS = float(np.finfo(np.float64).eps)
 # sample times of a run, and sample times since the start, which doubles tell apart
 _MOST, _FARTHEST = 10**8, 1e15
+
+
+class Divisions(NamedTuple):
+    """What divides the steps of a run: breakpoints, s, and when each of its states changes.
+
+    That is None for a state that changes at all times.
+    """
+
+    corners: NDArray[np.float64] = np.zeros(0)
+    clocks: tuple[Sampling | None, ...] = ()
+
+    def samples(self, clock: Sampling, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sample times around the times of saves."""
+        return _samples(clock, times.min(), times.max())
+
+    def every(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Breakpoints and sample times around the times of saves, in order."""
+        each = [self.samples(x, times) for x in {*self.clocks} - {None} if x is not None]
+        return np.unique(np.concatenate([self.corners, *each]))
+
+
+def divisions_of(scene: Scene) -> Divisions:
+    """What divides the steps of runs of a scene."""
+    return Divisions(corners_of(scene), scene.packed(None).structure.rotation.law.clocks)
 
 
 def corners_of(scene: Scene) -> NDArray[np.float64]:

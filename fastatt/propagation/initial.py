@@ -90,7 +90,7 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
 
 def _states(scene: Scene, by_name: Mapping[str, Any]) -> NDArray[np.float64]:
     """States from those of the terms, by their names; 0 of those that only samples set."""
-    parts, steps = scene.parts, np.array(scene.packed(None).structure.rotation.law.steps)
+    parts, clocks = scene.parts, scene.packed(None).structure.rotation.law.clocks
     for name in by_name.keys() - parts.keys():
         known = ", ".join(map(repr, parts)) or "an array, since no term has a name"
         raise ValueError(f"s0: found {name!r}; accepted: {known}")
@@ -101,7 +101,7 @@ def _states(scene: Scene, by_name: Mapping[str, Any]) -> NDArray[np.float64]:
             wanted = f"({size},) or (N, {size})" + (", or a number" if size == 1 else "")
             tails = [(size,), (-1, size), *([()] if size == 1 else [])]
             columns[name] = checks.array(f"s0[{name!r}]", by_name[name], wanted, tails)
-        elif not steps[part].all():
+        elif None in clocks[part]:
             raise ValueError(f"s0[{name!r}]: is missing; accepted: ({size},) or (N, {size})")
     unnamed = scene.states - sum(part.stop - part.start for part in parts.values())
     if unnamed:

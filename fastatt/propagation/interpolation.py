@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,7 +83,8 @@ def interpolate(
         is unknown, and of those that a terminal event has stopped: their results are NaN. Also if
         the polynomials through four and through two saves differ by more than 0.1 rad, or those
         through eight and through four saves of a velocity, position or state by more than a tenth
-        of its range, since it then changes too fast between the saves.
+        of its range, since it then changes too fast between the saves; and if a breakpoint or a
+        sample time lies between two saves.
 
     Notes
     -----
@@ -97,8 +98,10 @@ def interpolate(
     Velocities, positions and states are polynomials through the eight nearest saves, four on either
     side where they exist, or through all saves if there are fewer, of order 8.
 
-    At a breakpoint a derivative jumps: interpolate the parts before and after it separately, or
-    save at the required times (``save_at``).
+    At breakpoints and sample times a derivative jumps. The polynomials of a run therefore use the
+    saves between two of them only, and what controllers hold is what a save in the same interval
+    has. If there is no save at such a time, a warning tells so: save there too (``save_at``). Of
+    arrays such times are unknown: interpolate the parts before and after them separately.
 
     References
     ----------
@@ -124,7 +127,7 @@ def interpolate(
             raise TypeError("q, w: found with a run; accepted: interpolate(run, times)")
         return _run_between(t, q if times is None else times)
     when, asked = _checked_times(t, times)
-    motion = _between(when, q, w, asked.ravel())
+    motion = _between(_Saves.of(when, np.zeros(0)), q, w, asked.ravel())
     q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in motion)
     return q_out, w_out
 
@@ -134,12 +137,16 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     when, asked = _checked_times(run.t, times)
     asked = np.atleast_1d(asked)
     many = (when.size, run.status.size)
-    motion = _between(when, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, lost=True)
+    saves = _Saves.of(when, run.divisions.every(when))
+    saves.warn(asked)
+    motion = _between(saves, run.q.reshape(*many, 4), run.w.reshape(*many, 3), asked, lost=True)
     carried = {
-        name: _columns_between(name, when, values, asked)
+        name: _columns_between(name, saves, values, asked)
         for name, values in run.carried.items()
-        if name != "w"
+        if name not in ("w", "s")
     }
+    if "s" in run.carried:
+        carried["s"] = _states_between(run, saves, asked)
     # a prescribed rate is known at any time, unless the run was pickled
     if run.packed is None or "w" in run.carried:
         carried["w"] = motion[1]
@@ -152,24 +159,95 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
                 f"run: terminal events stopped {np.count_nonzero(stopped)} of {stopped.size} "
                 f"bodies (body {stopped.argmax()}), whose results are NaN"
             )
-    way = np.sign(when[1] - when[0])
-    if run.packed is not None and "s" in carried:
-        # a save at a sample time holds what was held until then
-        held = np.flatnonzero(run.packed.structure.rotation.law.steps)
-        slack = _SLACK * np.abs(when).max()
-        after = np.searchsorted(way * when + slack, way * asked)
-        carried["s"][..., held] = run.carried["s"][after][..., held]
-    before = np.searchsorted(way * when, way * asked, side="right") - 1
+    before = np.searchsorted(saves.way * when, saves.way * asked, side="right") - 1
     return replace(
         run, t=asked, state=motion[0], norm_error=run.norm_error[before], attitude=QUATERNION,
         carried=carried, end=None,
     )  # fmt: skip
 
 
+class _Saves(NamedTuple):
+    """Times of saves (S,), and how many divisions of the run lie before and until each."""
+
+    t: NDArray[np.float64]
+    before: NDArray[np.intp]
+    until: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, t: NDArray[np.float64], divisions: NDArray[np.float64]) -> _Saves:
+        """Saves among the times at which steps were divided."""
+        way, slack = np.sign(t[1] - t[0]), _SLACK * np.abs(t).max()
+        edges, rising = np.sort(way * divisions), way * t
+        before, until = (np.searchsorted(edges, rising + x) for x in (-slack, slack))
+        return cls(t, before, until)
+
+    @property
+    def way(self) -> Any:
+        """1 if times rise, -1 if they fall."""
+        return np.sign(self.t[1] - self.t[0])
+
+    def left(self, times: NDArray[np.float64]) -> NDArray[np.intp]:
+        """The saves at which the intervals that contain some times begin, (T,)."""
+        left = np.searchsorted(self.way * self.t, self.way * times, side="right") - 1
+        return np.asarray(np.clip(left, 0, self.t.size - 2))
+
+    def piece(self, left: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The first and the last save (T,) that no division separates from an interval.
+
+        They are the two ends of an interval that is divided itself.
+        """
+        of_interval, is_whole = self.until[left], self.until[left] >= self.before[left + 1]
+        first = np.searchsorted(self.until, of_interval)
+        last = np.searchsorted(self.before, of_interval, side="right") - 1
+        return np.where(is_whole, first, left), np.where(is_whole, last, left + 1)
+
+    def warn(self, times: NDArray[np.float64]) -> None:
+        """Warn of times in intervals that are divided."""
+        left = self.left(times)
+        is_between = (times != self.t[left]) & (times != self.t[left + 1])
+        divided = np.unique(left[is_between & (self.until[left] < self.before[left + 1])])
+        if divided.size:
+            k = divided[0]
+            rounding.warn(
+                f"t: {divided.size} intervals between saves contain a breakpoint or a sample time, "
+                f"the first from {self.t[k]:.9g} to {self.t[k + 1]:.9g} s, where the polynomials "
+                "are less accurate: save there too (save_at=)"
+            )
+
+
+def _states_between(run: Trajectory, saves: _Saves, times: NDArray[np.float64]) -> NDArray[Any]:
+    """States (S, N, n) of a run at times (T,); what controllers hold is not interpolated."""
+    values = run.carried["s"]
+    clocks = run.divisions.clocks or (None,) * values.shape[-1]
+    states = np.full((times.size, *values.shape[1:]), np.nan, values.dtype)
+    for clock in dict.fromkeys(clocks):
+        columns = [k for k, x in enumerate(clocks) if x == clock]
+        if clock is None:
+            states[..., columns] = _columns_between("s", saves, values[..., columns], times)
+            continue
+        slack, samples = _SLACK * np.abs(saves.t).max(), run.divisions.samples(clock, saves.t)
+        interval, of_saves = (np.searchsorted(samples, x - slack) for x in (times, saves.t))
+        # a save at a sample time holds what was held until then
+        after = np.minimum(np.searchsorted(saves.t, times - slack), saves.t.size - 1)
+        lost = np.ones(times.size, np.bool_)
+        for save in (np.maximum(after - 1, 0), after):
+            same = of_saves[save] == interval
+            states[np.ix_(same, range(values.shape[1]), columns)] = values[save[same]][..., columns]
+            lost &= ~same
+        if lost.any():
+            rounding.warn(
+                f"times: {np.count_nonzero(lost)} of {times.size} times, the first "
+                f"{times[lost][0]:.9g} s, lie between two sample times without a save: what is "
+                "held there is unknown, and NaN: save there too (save_at=)"
+            )
+    return states
+
+
 def _columns_between(
-    name: str, t: NDArray[np.float64], values: NDArray[Any], times: NDArray[np.float64]
+    name: str, saves: _Saves, values: NDArray[Any], times: NDArray[np.float64]
 ) -> NDArray[Any]:
     """Numbers (S, N, n) of a run at times (T,), each column by itself."""
+    t = saves.t
     columns = values.reshape(t.size, -1)
     out = np.empty((times.size, columns.shape[1]), values.dtype)
     apart = np.zeros(columns.shape[1])
@@ -177,8 +255,8 @@ def _columns_between(
     for a in range(0, times.size, step):
         part = slice(a, a + step)
         with np.errstate(all="ignore"):
-            out[part] = _polynomial(t, columns, times[part], 2 * _NODES)
-            rough = _polynomial(t, columns, times[part], _NODES)
+            out[part] = _polynomial(saves, columns, times[part], 2 * _NODES)
+            rough = _polynomial(saves, columns, times[part], _NODES)
             apart = np.fmax(apart, np.abs(out[part] - rough).max(axis=0, initial=0.0))
     rounded = 1e3 * np.finfo(values.dtype).eps * np.abs(columns).max(axis=0)
     poor = np.flatnonzero(apart > 0.1 * np.ptp(columns, axis=0) + rounded)
@@ -210,11 +288,11 @@ def _checked_times(t: ArrayLike, times: ArrayLike) -> tuple[NDArray[Any], NDArra
 
 
 def _polynomial(
-    t: NDArray[np.float64], columns: NDArray[Any], times: NDArray[np.float64], most: int
+    saves: _Saves, columns: NDArray[Any], times: NDArray[np.float64], most: int
 ) -> NDArray[Any]:
     """The polynomial through the nearest saves, at most so many, at times within ``t``."""
-    n = min(most, t.size)
-    nodes, places, _ = _around(t, times, n)
+    n = min(most, saves.t.size)
+    nodes, places, _ = _around(saves, times, n)
     total = np.zeros((times.size, columns.shape[1]))
     for k in range(n):
         others, itself = np.delete(places, k, axis=1), places[:, k]
@@ -225,17 +303,16 @@ def _polynomial(
 
 
 def _around(
-    t: NDArray[np.float64], times: NDArray[np.float64], n: int
+    saves: _Saves, times: NDArray[np.float64], n: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.bool_]]:
     """Indices and times (T, n) of saves around times, the two next to them first; which exist.
 
     A polynomial through saves that nearly coincide magnifies noise and rounding. Each save outside
     the interval is therefore at least half of the interval, and a tenth of its distance from the
-    interval, away from the one before. The index of a save that does not exist has no meaning.
+    interval, away from the one before. Saves beyond a division of the run do not exist. The index
+    of a save that does not exist has no meaning.
     """
-    way = np.sign(t[1] - t[0])
-    rising = way * t
-    left = np.clip(np.searchsorted(rising, way * times, side="right") - 1, 0, t.size - 2)
+    t, rising, left = saves.t, saves.way * saves.t, saves.left(times)
     start, end = rising[left], rising[left + 1]
     below, above = [left], [left + 1]
     for _ in range(n - 2):
@@ -246,10 +323,11 @@ def _around(
         next_ = edge + np.maximum(0.5 * (end - start), 0.1 * (edge - end))
         above.append(np.maximum(np.searchsorted(rising, next_), above[-1] + 1))
     every = np.stack([*below[::-1], *above], axis=1)
-    exist = (every >= 0) & (every < t.size)
+    first, last = saves.piece(left)
+    exist = (every >= first[:, None]) & (every <= last[:, None])
     under, over = exist[:, : n - 2].sum(axis=1), exist[:, n:].sum(axis=1)
-    first = n - 2 - np.minimum(np.maximum((n - 1) // 2, n - 2 - over), under)
-    chosen = first[:, None] + np.arange(n)
+    begin = n - 2 - np.minimum(np.maximum((n - 1) // 2, n - 2 - over), under)
+    chosen = begin[:, None] + np.arange(n)
     is_other = (chosen != n - 2) & (chosen != n - 1)
     chosen = np.take_along_axis(chosen, np.argsort(is_other, axis=1, kind="stable"), axis=1)
     exist = np.take_along_axis(exist, chosen, axis=1)
@@ -258,13 +336,13 @@ def _around(
 
 
 def _between(
-    t: NDArray[np.float64], q: ArrayLike, w: ArrayLike, times: NDArray[np.float64], *,
-    lost: bool = False,
+    saves: _Saves, q: ArrayLike, w: ArrayLike, times: NDArray[np.float64], *, lost: bool = False
 ) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
     """Attitudes (T, 4) or (T, N, 4), and angular velocities in the same shape, at times (T,).
 
     Bodies may be ``lost``, with values that are not finite.
     """
+    t = saves.t
     attitudes = checks.attitudes("q", q, f"({t.size}, 4) or ({t.size}, N, 4)", flag=lost)
     rates = checks.array("w", w, str((*attitudes.shape[:-1], 3)), flag=lost)
     dtype, many = np.result_type(attitudes, rates), min(_NODES, t.size)
@@ -272,7 +350,7 @@ def _between(
         x.reshape(t.size, -1, x.shape[-1]).astype(dtype, copy=False) for x in (attitudes, rates)
     )
     bodies = q.shape[1]
-    nodes, places, exist = _around(t, times, many)
+    nodes, places, exist = _around(saves, times, many)
     last = np.where(exist, nodes, 0).max(axis=1, keepdims=True)
     far = _far(t, w, np.unique(nodes[exist & (nodes != last)]))
     start = t[nodes[:, :1]]

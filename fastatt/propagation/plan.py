@@ -26,7 +26,7 @@ from fastatt.engine.run_with_events import RunWithEvents
 from fastatt.engine.status import Status, bounds
 from fastatt.engine.tape import BLOCK, CALLING_LENGTH, UNBROKEN, Piece, Steps
 from fastatt.propagation import closed_run, limits
-from fastatt.propagation.breakpoints import breaks_within, corners_of
+from fastatt.propagation.breakpoints import breaks_within, corners_of, divisions_of
 from fastatt.propagation.choice_of_method import Choice
 from fastatt.propagation.end import MOST, Checkpoints, End
 from fastatt.propagation.event import warn_of_lost
@@ -342,6 +342,8 @@ class Plan:
             end=end,
             crossings=results.event_times if events else None,
             terminal=tuple(x.terminal for x in events),
+            divisions=divisions_of(self.scene),
+            parts=self.scene.parts,
         )
 
     def _end(self, start: Initial, t0: float, run: Run, done: int) -> End:

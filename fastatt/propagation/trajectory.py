@@ -17,6 +17,7 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.status import Status, count_flags
 from fastatt.methods import METHODS
+from fastatt.propagation.breakpoints import Divisions
 from fastatt.propagation.end import NO_END, End
 from fastatt.scene.equations import PrescribedRate
 from fastatt.scene.law import Law
@@ -52,6 +53,8 @@ class Trajectory:
         Step size, or per-body step sizes, s.
     one_body : bool
         Whether the initial values were those of one body, without an axis N.
+    parts : dict of str to slice
+        Where the states of each named term of the torque are in ``s``, as ``Scene.parts``.
 
     Examples
     --------
@@ -81,6 +84,10 @@ class Trajectory:
     crossings: NDArray[np.float64] | None = field(default=None, repr=False)
     #: which of the events are terminal
     terminal: tuple[bool, ...] = field(default=(), repr=False)
+    #: what divided its steps
+    divisions: Divisions = field(default=Divisions(), repr=False)
+    #: where the states of terms with names are in ``s``
+    parts: Mapping[str, slice] = field(default_factory=dict, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """All fields, for pickling; a prescribed rate is stored as numbers."""

@@ -296,8 +296,8 @@ class _Held(Torque):
         return (self.sampling,)
 
     @property
-    def steps(self) -> tuple[bool, ...]:
-        return (True,) * self.states
+    def clocks(self) -> tuple[Sampling | None, ...]:
+        return (self.sampling,) * self.states
 
     def show(self, name: str, t: Any, pose: Pose, states: Vector) -> Vector:
         return states[: self.holds]

@@ -157,7 +157,7 @@ class Custom(UserModel, Force):
     """
 
     uses_position: bool = False
-    reads: str | tuple[str, ...] = ()  # type: ignore[misc]
+    reads: str | tuple[str, ...] = ()  # type: ignore[assignment]
 
     def formula(self: Any, t: Any, pose: Pose) -> Any:
         v, r, s = pose.coupled

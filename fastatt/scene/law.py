@@ -142,9 +142,9 @@ class Law:
         return (*acting, *(slope for result in results for slope in result[3:]))
 
     @cached_property
-    def steps(self) -> tuple[bool, ...]:
-        """Which of its states change at sample times only."""
-        return tuple(x for model in self.models for x in model.steps)
+    def clocks(self) -> tuple[Sampling | None, ...]:
+        """When each of its states changes, None for one that changes at all times."""
+        return tuple(x for model in self.models for x in model.clocks)
 
     @cached_property
     def samplings(self) -> tuple[Sampling, ...]:

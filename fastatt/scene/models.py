@@ -161,9 +161,9 @@ class Model:
         return states
 
     @property
-    def steps(self) -> tuple[bool, ...]:
-        """Which of its states change at sample times only."""
-        return (False,) * self.states
+    def clocks(self) -> tuple[Sampling | None, ...]:
+        """When each of its states changes, None for one that changes at all times."""
+        return (None,) * self.states
 
     def shown(self) -> Mapping[str, int]:
         """How many numbers other terms may read, by what follows the name of the term."""
@@ -333,7 +333,7 @@ class UserModel(Model):
     function: Callable[..., Any]
     params: Parameters = None
     #: names of terms whose numbers the function takes, before its states
-    reads: ClassVar[Any] = ()
+    reads = ()
 
     def __post_init__(self) -> None:
         if self.reads != ():

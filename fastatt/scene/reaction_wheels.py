@@ -368,10 +368,10 @@ class _Driven(Torque):
         return () if self.sampled is None else (self.sampled,)
 
     @property
-    def steps(self: Any) -> tuple[bool, ...]:
-        if isinstance(self.command, Law):
-            return (*(False,) * self.count, *self.command.steps)
-        return (*(False,) * self.count, *(self.sampled is not None,) * (self.states - self.count))
+    def clocks(self: Any) -> tuple[Sampling | None, ...]:
+        of_command = (self.sampled,) * (self.states - self.count)
+        of_command = self.command.clocks if isinstance(self.command, Law) else of_command
+        return (*(None,) * self.count, *of_command)
 
     def show(self: Any, name: str, t: Any, pose: Pose, states: Vector) -> Vector:
         momenta = states[: len(self.inertia)]

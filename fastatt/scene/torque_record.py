@@ -188,7 +188,7 @@ class Custom(UserModel, Torque):
     potential: Callable[..., Any] | None = None
     uses_position: bool = False
     states: int = 0  # type: ignore[misc]
-    reads: str | tuple[str, ...] = ()  # type: ignore[misc]
+    reads: str | tuple[str, ...] = ()  # type: ignore[assignment]
 
     @property
     def depends(self) -> Dependence:  # type: ignore[override]

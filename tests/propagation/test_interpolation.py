@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from dataclasses import replace
 
@@ -297,3 +298,63 @@ def test_times_within_rounding_of_the_ends_are_accepted(dt, n):
         assert angle(fa.interpolate(run, end).q[0], run.q[-1]) < 8 * EPS
     with pytest.raises(ValueError, match="the saves' span"):
         fa.interpolate(run, run.t[-1] * (1.0 + 1e-14))
+
+
+def pulse(t, q, w, p):
+    return (2.0 if 5.0 < t < 5.4 else 0.0), 0.0, 0.0
+
+
+def in_pieces(run, edges, times):
+    """Attitudes from the saves between two edges alone."""
+    q = np.empty((len(times), 4))
+    for a, b in itertools.pairwise(edges):
+        saves, inside = ((x > a - 1e-9) & (x < b + 1e-9) for x in (run.t, times))
+        q[inside], _ = fa.interpolate(run.t[saves], run.q[saves], run.w[saves], times[inside])
+    return q
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_polynomials_stop_at_breakpoints(way):
+    """A run is interpolated as its pieces are; an interval with a breakpoint is told of."""
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=pulse, breakpoints=(5.0, 5.4))
+    how = {"dt": way * 0.1, "t0": 5.0 - 5.0 * way, "method": "rk8"}
+    start, w0, times = [1, 0, 0, 0], [0.1, 0.2, 0.3], np.linspace(0.0, 10.0, 402)[:: int(way)]
+    right = fa.propagate(scene, start, w0, save_at=times, **how)
+    run = fa.propagate(scene, start, w0, n_steps=100, save_every=1, **how)
+    between = fa.interpolate(run, times)
+    np.testing.assert_array_equal(between.q, in_pieces(run, [0.0, 5.0, 5.4, 10.0], times))
+    assert fa.angle_between(between.q, right.q).max() < 1e-10
+    apart = fa.propagate(scene, start, w0, n_steps=100, save_every=5, **how)
+    with pytest.warns(fa.StepWarning, match="1 intervals between saves contain a breakpoint"):
+        rough = fa.interpolate(apart, times)
+    far = np.abs(times - 5.25) > 0.25  # only the interval with the breakpoint is less accurate
+    assert (
+        fa.angle_between(rough.q, right.q)[far].max()
+        < 1e-5
+        < fa.angle_between(rough.q, right.q).max()
+    )
+
+
+def test_what_controllers_hold_is_held():
+    """Two clocks; saves at the samples of the faster one, and then elsewhere."""
+    terms = {
+        "slow": fa.torques.SampledControl(lambda t, q, w, p: w, 1.0, holds=3),
+        "fast": fa.torques.SampledControl(fa.torques.QuaternionPD(2.0, 3.0), 0.5, delay=1),
+    }
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3), torque=fa.torques.Sum(terms))
+    start, times = fa.rotation_vector_to_quat([1.0, 0.5, -0.3]), np.linspace(0.0, 5.0, 173)
+    how = {"s0": {}, "dt": 0.1, "t_end": 5.0, "method": "rk8"}
+    right = fa.propagate(scene, start, [0, 0, 0], save_at=times, **how)
+    for save_at in (np.arange(51) * 0.1, np.arange(11) * 0.5):
+        run = fa.propagate(scene, start, [0, 0, 0], save_at=save_at, **how)
+        between = fa.interpolate(run, times)
+        np.testing.assert_allclose(between.s, right.s, rtol=0.0, atol=1e-15)
+        wanted = in_pieces(run, np.arange(11) * 0.5, times)
+        np.testing.assert_array_equal(between.q, wanted)
+    run = fa.propagate(scene, start, [0, 0, 0], save_at=[0.0, 0.7, 1.6, 5.0], **how)
+    with pytest.warns(fa.StepWarning) as told:
+        between = fa.interpolate(run, times)
+    assert "held there is unknown" in " ".join(str(x.message) for x in told)
+    known = np.isfinite(between.s)
+    np.testing.assert_allclose(between.s[known], right.s[known], rtol=0.0, atol=1e-15)
+    assert 0.2 < known.mean() < 0.8
