@@ -21,7 +21,7 @@ export NUMBA_CACHE_DIR ?= $(CURDIR)/.numba_cache
 # bytecode too: else each of the tests' processes would compile all that it imports
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv lock test test-all pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
+.PHONY: help venv lock test test-all fuzz pythons commands trade bench leaderboard extremes cases scale pictures hostile bench-smoke lint \
 	format types layers docs readme clean
 
 help:  ## this list
@@ -66,6 +66,9 @@ test: $(VENV)/.test  ## the tests, the README's and the tutorial's examples amon
 
 test-all: $(VENV)/.test  ## the tests, the examples of all pages and the benches, small
 	$(call tests)
+
+fuzz: $(VENV)/.test  ## the random testers, MINUTES each, of other cases each day
+	FASTATT_MINUTES=$(or $(MINUTES),10) $(BIN)/pytest -n auto -p no:benchmark -rA tests/testers
 
 pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and with the lowest Numba and NumPy
 	.ci/pythons

@@ -804,7 +804,7 @@ def test_points_where_python_raises_are_left_out():
 
 
 def test_functions_made_at_random():
-    """``bench/random_functions.py`` has more of each kind."""
+    """``tests/testers`` has more of each kind."""
     for run, least in ((of_functions, 0.6), (of_values, 0.6), (of_impure, 0.0)):
         found = [run(seed) for seed in range(5000, 5030)]
         assert [why for how, why in found if how == "error"] == []

@@ -1,6 +1,6 @@
 """Functions of users made at random, beside Python: what a scene runs, what it refuses.
 
-    python bench/random_functions.py [kind] [cases] [first seed]
+    python tests/testers/random_functions.py [kind] [cases] [first seed]
 
 ``functions``: conditions, early returns, helpers, writes in place, aliases, containers, methods,
 tables. ``values``: what a function refers to changes between making a scene and running it, also
