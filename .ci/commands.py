@@ -27,7 +27,8 @@ from test_readme import PAGES, in_blocks, in_text  # noqa: E402
 #: what ``.ci/run`` or a test does by itself; the leaderboard, which needs the other libraries; and
 #: what takes minutes
 ELSEWHERE = (
-    ".ci/run", "make commands", "make docs", "make format", "make layers", "make leaderboard",
+    ".ci/run", "make commands", "make docs", "make format", "make fuzz", "make layers",
+    "make leaderboard",
     "make test", "make venv", "pip ", "pytest ",
     "python bench/leaderboard.py", "python bench/method_table.py", "python bench/mutations.py",
 )  # fmt: skip

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from fnmatch import fnmatch
 
 import page_figures
 from each import each
@@ -42,3 +44,11 @@ def test_defaults_are_first_most_often():
     for page in page_figures.PAGES[:2]:
         prose = " ".join(page.read_text(encoding="utf-8").split())
         assert f"first most often at 1e-3 and 1e-6 rad: `{names[0]}`" in prose
+
+
+def test_every_bench_says_which_question_it_answers():
+    page = (page_figures.BENCH / "README.md").read_text(encoding="utf-8")
+    names = re.findall(r"`([\w*]+\.py)`", page)
+    files = sorted(path.name for path in page_figures.BENCH.glob("*.py"))
+    assert [x for x in files if not any(fnmatch(x, name) for name in names)] == []
+    assert [name for name in names if not any(fnmatch(x, name) for x in files)] == []

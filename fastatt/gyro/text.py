@@ -31,6 +31,7 @@ _RATE = re.compile(
 )
 _COMMENTS = ("#", "//", "%")
 _COMMENT = re.compile(r" *(#|//|%)[^\n]*")
+_QUOTE = re.compile(r'(?<![^\s,;#"])"|"(?![^\s,;"])')  # at the begin or the end of a cell
 
 
 def from_text(source: Any) -> Table:
@@ -124,7 +125,7 @@ def _layout(line: str) -> _Layout:
 def _content(source: Any) -> tuple[str, str]:
     """A name and the text of a path, of standard input, "-", or of an open file; from gzip too.
 
-    Quotes are left out.
+    Quotes around cells are left out; one inside a number stays, so that its row is not read.
     """
     name = str(getattr(source, "name", "the file"))
     if isinstance(source, str) and source == "-":
@@ -145,7 +146,7 @@ def _content(source: Any) -> tuple[str, str]:
         raise GyroLogError(f"{name}: found damaged gzip data ({error}); accepted: whole") from None
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[:8].count(b"\0") > 2:
         raise GyroLogError(f"{name}: found UTF-16 text; accepted: text in UTF-8")
-    text = data.decode("utf-8-sig", "replace").replace('"', "")
+    text = _QUOTE.sub("", data.decode("utf-8-sig", "replace"))
     return name, text.replace("\r\n", "\n").replace("\r", "\n")
 
 

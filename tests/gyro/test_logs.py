@@ -217,6 +217,12 @@ def test_byte_order_mark_and_quotes(tmp_path, text):
     assert np.array_equal(log.rates, RATES)
 
 
+def test_a_quotation_mark_inside_a_number_is_no_number(tmp_path):
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + "1,2,3\n" * 6 + '1,0."5,3\n')
+    with pytest.raises(GyroLogError, match="line 8"):
+        read_gyro_log(path, rate=1.0)
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_gyro_log(tmp_path / "none.csv")

@@ -19,7 +19,7 @@ import pandas as pd
 import fastatt as fa
 
 HEAD = "time [s],gx [rad/s],gy [rad/s],gz [rad/s]"
-NUMBER = r"\s*[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*"
+NUMBER = r'\s*"*[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"*\s*'
 ROW = re.compile(",".join([NUMBER] * 4))
 
 
@@ -41,7 +41,7 @@ def of_damage(seed: int, folder: Path) -> tuple[str, str]:
     if told:
         return f"{kind}: told", ""
     plain = [x for x in damaged.decode("utf-8", "replace").split("\n")[1:] if ROW.fullmatch(x)]
-    known = {tuple(float(x) for x in row.split(",")[1:]) for row in plain}
+    known = {tuple(float(x.strip(' "')) for x in row.split(",")[1:]) for row in plain}
     strange = [k for k, x in enumerate(log.rates.tolist()) if tuple(x) not in known]
     if strange:
         return kind, f"{about}: row {strange[0]} is read as {log.rates[strange[0]]}, unsaid"
