@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple, overload
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
+from fastatt.arrays import quat_multiply
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import precision_of, rows
 from fastatt.propagation.trajectory import Trajectory
@@ -21,6 +23,8 @@ _ROWS = 1 << 16
 _SLACK = 16.0 * float(np.finfo(np.float64).eps)
 # times of saves that do not exist: so far away that the other weights are those without them
 _NOWHERE = 1e60
+# saves that give the rate of an attitude, and the half-angle from one to the next, at most
+_NEIGHBOURS, _TURN = 5, 0.25 * math.pi
 # rad; a larger difference of the interpolants through four saves and through two is warned of
 _DOUBT = 0.1
 
@@ -35,7 +39,7 @@ def interpolate(run: Trajectory, /, *, times: ArrayLike) -> Trajectory: ...
 
 @overload
 def interpolate(
-    t: ArrayLike, q: ArrayLike, w: ArrayLike, times: ArrayLike
+    t: ArrayLike, q: ArrayLike, w: ArrayLike | None = ..., times: ArrayLike | None = ...
 ) -> tuple[NDArray[Any], NDArray[Any]]: ...
 
 
@@ -44,7 +48,8 @@ def interpolate(
 ) -> Trajectory | tuple[NDArray[Any], NDArray[Any]]:
     """Interpolate a run between its saves: ``interpolate(run, times)``.
 
-    ``interpolate(t, q, w, times)`` interpolates attitudes and angular velocities from elsewhere.
+    ``interpolate(t, q, w, times)`` interpolates attitudes and angular velocities from elsewhere,
+    ``interpolate(t, q, None, times)`` attitudes alone, and ``interpolate(t, q)`` gives their rates.
 
     Parameters
     ----------
@@ -53,10 +58,14 @@ def interpolate(
         least two.
     q : array_like of shape (S, 4) or (S, N, 4)
         Attitudes at the saves, body to inertial, scalar first, of either sign.
-    w : array_like of shape (S, 3) or (S, N, 3)
-        Angular velocities at the saves along body axes, rad/s.
+    w : array_like of shape (S, 3) or (S, N, 3), optional
+        Angular velocities at the saves along body axes, rad/s. Without them they are those of
+        polynomials through the rotation vectors from each attitude to its nearest neighbours, five
+        saves in all, whose error falls as the interval to the 4th power. Attitudes should then
+        rotate by at most π/2 from one to the next.
     times : float or array_like of shape (T,)
-        Times of the results, s, in any order and within those of the saves.
+        Times of the results, s, in any order and within those of the saves; of attitudes without
+        ``w`` those of the saves, if there are none.
 
     Returns
     -------
@@ -126,10 +135,45 @@ def interpolate(
         if w is not None or (q is not None and times is not None):
             raise TypeError("q, w: found with a run; accepted: interpolate(run, times)")
         return _run_between(t, q if times is None else times)
-    when, asked = _checked_times(t, times)
+    when, asked = _checked_times(t, t if times is None and w is None else times)
+    if w is None:
+        w = _rates_of(when, q)
     motion = _between(_Saves.of(when, np.zeros(0)), q, w, asked.ravel())
     q_out, w_out = (x.reshape(*asked.shape, *x.shape[1:]) for x in motion)
     return q_out, w_out
+
+
+def _rates_of(t: NDArray[np.float64], q: ArrayLike) -> NDArray[np.float64]:
+    """Angular velocities at saves of attitudes, (S, 3) or (S, N, 3), rad/s along body axes.
+
+    At its own save the slope of a rotation vector is the angular velocity.
+    """
+    q = checks.attitudes("q", q, f"({t.size}, 4) or ({t.size}, N, 4)").astype(np.float64)
+    turns = (q[1:] * q[:-1]).sum(axis=-1, keepdims=True)
+    fast = np.argwhere(np.abs(turns[..., 0]) < math.cos(_TURN))
+    if len(fast):
+        rounding.warn(
+            f"q: found a rotation by more than π/2 from save {fast[0, 0]} to the next, between "
+            "which the rates of attitudes are uncertain: give w, or save more often"
+        )
+    # of continuous signs, so that rotation vectors may exceed π
+    q = q * np.cumprod(np.concatenate([np.ones_like(turns[:1]), np.sign(turns)]), axis=0)
+    n = min(_NEIGHBOURS, t.size)
+    nodes = np.clip(np.arange(t.size) - n // 2, 0, t.size - n)[:, None] + np.arange(n)
+    gaps = t[:, None] - t[nodes]
+    gaps[gaps == 0.0] = 1.0
+    rates = np.zeros((*q.shape[:-1], 3))
+    for k in range(n):
+        others = np.delete(nodes, k, axis=1)
+        apart = (t[nodes[:, k], None] - t[others]).prod(axis=1)
+        weight = np.delete(gaps, k, axis=1).prod(axis=1) / apart
+        weight = np.where(nodes[:, k] == np.arange(t.size), 0.0, weight)
+        turn = quat_multiply(q * (1.0, -1.0, -1.0, -1.0), q[nodes[:, k]])
+        size = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
+        angle = 2.0 * np.arctan2(size, turn[..., :1])
+        vector = turn[..., 1:] * np.where(size > 0.0, angle / np.where(size > 0.0, size, 1.0), 2.0)
+        rates += weight.reshape(-1, *[1] * (q.ndim - 1)) * vector
+    return rates
 
 
 def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from exact import EPS, START, angle, precession
+from scipy.spatial.transform import Rotation, RotationSpline
 
 import fastatt as fa
 
@@ -358,3 +359,59 @@ def test_what_controllers_hold_is_held():
     known = np.isfinite(between.s)
     np.testing.assert_allclose(between.s[known], right.s[known], rtol=0.0, atol=1e-15)
     assert 0.2 < known.mean() < 0.8
+
+
+def free_attitudes(n, uneven):
+    t = np.linspace(0.0, 20.0, n + 1)
+    t[1:-1] += uneven * 6.0 / n * np.sin(7.0 * t[1:-1])
+    start = [1, 0, 0, 0], [0.1, 0.5, -0.3], (2.0, 1.0, 2 / 3)
+    q, w = fa.closed_form.free_body(*start, t)
+    times = np.linspace(0.0, 20.0, 1001)
+    signs = np.random.default_rng(3).choice([-1.0, 1.0], n + 1)
+    return t, q * signs[:, None], w, times, fa.closed_form.free_body(*start, times)
+
+
+@pytest.mark.parametrize("uneven", [0.0, 1.0])
+def test_attitudes_without_rates(uneven):
+    """Beside a closed form and SciPy's spline, whose ends are worse; signs are any."""
+    errors, of_rates = [], []
+    for n in (80, 160):
+        t, q, w, times, exact = free_attitudes(n, uneven)
+        found = fa.interpolate(t, q, None, times)
+        spline = RotationSpline(t, Rotation.from_quat(q, scalar_first=True))
+        inner = (times > 2.0) & (times < 18.0)
+        other = spline(times).as_quat(scalar_first=True)
+        ours, theirs = (fa.angle_between(x, exact[0]) for x in (found[0], other))
+        assert ours.max() < theirs.max()
+        assert ours[inner].max() < theirs[inner].max()
+        assert np.abs(found[1] - exact[1]).max() < np.abs(spline(times, 1) - exact[1]).max()
+        attitudes, rates = fa.interpolate(t, q)
+        assert fa.angle_between(attitudes, q).max() < 1e-15
+        of_rates.append(np.abs(rates - w).max())
+        errors.append(ours.max())
+    assert np.log2(errors[0] / errors[1]) > 3.9
+    assert np.log2(of_rates[0] / of_rates[1]) > 3.4
+
+
+def test_rates_of_attitudes_of_a_steady_rotation():
+    """Exact for a constant rate, also by more than π over five saves; of bodies, backwards."""
+    w, t = np.array([[0.3, -0.2, 0.9], [-0.9, 0.1, 0.4]]), np.linspace(9.0, 0.0, 7)
+    q = fa.rotation_vector_to_quat(t[:, None, None] * w)
+    _, rates = fa.interpolate(t, q)
+    np.testing.assert_allclose(rates, np.broadcast_to(w, rates.shape), rtol=0.0, atol=1e-14)
+    _, rates = fa.interpolate(t[:2], q[:2])
+    np.testing.assert_allclose(rates, np.broadcast_to(w, rates.shape), rtol=0.0, atol=1e-14)
+    with pytest.warns(fa.StepWarning, match="more than π/2 from save 0"):
+        fa.interpolate(t[::2], q[::2])
+
+
+def test_a_message_of_quaternions_alone(tmp_path):
+    t, _, _, times, exact = free_attitudes(160, 0.0)
+    scene = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
+    run = fa.propagate(scene, [1, 0, 0, 0], [0.1, 0.5, -0.3], save_at=t, dt=0.125)
+    how = {"epoch": "2026-01-01T00:00:00", "frame": "EME2000", "attitude_type": "QUATERNION"}
+    run.to_aem(tmp_path / "run.aem", **how)
+    (segment,) = fa.interchange.read_aem(tmp_path / "run.aem").segments
+    assert segment.w is None
+    found, _ = fa.interpolate(segment.t, segment.q, segment.w, times)
+    assert fa.angle_between(found, exact[0]).max() < 1e-7
