@@ -129,6 +129,8 @@ def of_ends(seed: int, folder: Path) -> tuple[str, str]:
             text = str(error)
             fine = len(text.splitlines()) == 1 and text.startswith(("run: ", "scene: ", "method: "))
             return f"{kind}: refused", "" if fine else f"{run}, {about}: ValueError: {text}"
+        except TimeoutError:
+            raise
         except Exception as error:  # noqa: BLE001
             return kind, f"{run}, {about}: {type(error).__name__}: {error}"
     return f"{kind}: right", "" if made == wanted else f"{run}, {about}: other numbers, unsaid"

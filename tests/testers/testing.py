@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import datetime as dt
 import os
+import signal
 from collections import Counter
 from collections.abc import Callable
 from time import monotonic
 
 SECONDS = 60.0 * float(os.environ.get("FASTATT_MINUTES", "0.8"))
+LONGEST = 120  # s of a case, else it is taken for endless
 MOST = 3  # findings after which a tester ends
 
 
@@ -27,9 +29,16 @@ def try_cases(
     name: str, case: Callable[[int], tuple[str, str]], share: float = 1.0
 ) -> Counter[str]:
     """Run cases for a share of the time; the outcomes, counted. Raises for what is wrong."""
+    signal.signal(signal.SIGALRM, _give_up)
     seed, begun, outcomes, wrong = first_seed(), monotonic(), Counter[str](), []
     while monotonic() - begun < share * SECONDS and len(wrong) < MOST:
-        outcome, complaint = case(seed)
+        signal.alarm(LONGEST)
+        try:
+            outcome, complaint = case(seed)
+        except TimeoutError:
+            outcome, complaint = "endless", f"takes more than {LONGEST} s"
+        finally:
+            signal.alarm(0)
         outcomes[outcome] += 1
         if complaint:
             wrong.append(f"FASTATT_SEED={seed}: {complaint}"[:4000])
@@ -38,3 +47,7 @@ def try_cases(
     print(f"{name}: seeds from {first_seed()}, {outcomes.total()} cases: {told}")
     assert not wrong, "\n".join(wrong)
     return outcomes
+
+
+def _give_up(*_: object) -> None:
+    raise TimeoutError
