@@ -29,8 +29,8 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
 
     ``t`` s; ``body`` for an ensemble; ``q0`` to ``q3``, body to inertial, scalar first; ``wx``,
     ``wy``, ``wz`` rad/s along body axes; if the scene has them, ``vx`` to ``vz`` m/s along body
-    axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …; ``status`` of the
-    whole run.
+    axes, ``rx`` to ``rz`` m along inertial axes, and states ``s0``, ``s1`` …, or ``wheels0``,
+    ``wheels1`` … of a term with the name ``wheels``; ``status`` of the whole run.
     """
     check_run(run)
     q = run.q
@@ -46,7 +46,13 @@ def columns(run: Trajectory) -> dict[str, NDArray[Any]]:
             vector = getattr(run, name)
             values |= {f"{name}{axis}": vector[..., k] for k, axis in enumerate("xyz")}
     if "s" in run.carried:
-        values |= {f"s{k}": run.s[..., k] for k in range(run.s.shape[-1])}
+        names = [f"s{k}" for k in range(run.s.shape[-1])]
+        for name, part in run.parts.items():
+            names[part] = [f"{name}{k}" for k in range(part.stop - part.start)]
+        # a name may be that of another column
+        values |= {
+            f"s_{name}" if name in values else name: run.s[..., k] for k, name in enumerate(names)
+        }
     status = run.status[0] if run.one_body else run.status
     values["status"] = np.broadcast_to(status, shape)
     return values
@@ -56,7 +62,8 @@ def write_csv(run: Trajectory, path: str | Path) -> None:
     """Write a run as CSV with a row for each save and body, without rounding any number.
 
     The columns are t (s), body (for an ensemble), q0 to q3, wx to wz (rad/s), and as far as the
-    scene has them vx to vz (m/s), rx to rz (m) and states s0, s1, ..., then status.
+    scene has them vx to vz (m/s), rx to rz (m) and states s0, s1, ..., then status. States of a
+    term with a name, such as wheels, are wheels0, wheels1, ....
 
     Parameters
     ----------

@@ -176,21 +176,21 @@ def _energy(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
 
 
 def _momentum(trajectory: Trajectory, scene: Scene) -> NDArray[Any] | None:
-    torque = scene.torque
-    wheels = torque.wheel_momentum if isinstance(torque, Torque) else None
-    is_driven = isinstance(torque, ReactionWheels)
-    if not (torque is None or wheels or is_driven):
-        return None
     inside = angular_momentum(trajectory.w, np.asarray(scene.inertia))
     largest = np.linalg.norm(inside, axis=-1)
-    if isinstance(torque, ReactionWheels):
-        inside = inside + torque.momentum(trajectory.s)
-        of_wheel = np.abs(trajectory.s[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
-        largest = np.maximum(largest, of_wheel)
-    elif wheels is not None:
-        of_wheels = _of_wheels(wheels(), trajectory)
-        inside = inside + of_wheels
-        largest = np.maximum(largest, np.linalg.norm(of_wheels, axis=-1))
+    for torque, place in scene.terms:
+        wheels = torque.wheel_momentum if isinstance(torque, Torque) else None
+        if isinstance(torque, ReactionWheels):
+            momenta = trajectory.s[..., place.states]
+            inside = inside + torque.momentum(momenta)
+            of_wheel = np.abs(momenta[..., : np.shape(torque.axes)[-2]]).max(axis=-1)
+            largest = np.maximum(largest, of_wheel)
+        elif wheels is not None:
+            of_wheels = _of_wheels(wheels(), trajectory)
+            inside = inside + of_wheels
+            largest = np.maximum(largest, np.linalg.norm(of_wheels, axis=-1))
+        elif not place.term.model.exerts_nothing:
+            return None
     total = quat_rotate(trajectory.q, inside)
     return _relative(np.linalg.norm(total - total[0], axis=-1), largest)
 

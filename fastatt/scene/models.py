@@ -385,6 +385,13 @@ def readings(names: Iterable[str], packing: Packing) -> tuple[tuple[str, int], .
     return tuple((x, packing.size_of(f"{packing.argument}: reads", x)) for x in names)
 
 
+def terms_of(model: Any) -> list[Any]:
+    """The models whose sum a model is, those of sums in it included; none of None."""
+    if isinstance(model, Sum):
+        return [x for term in model.values for x in terms_of(term)]
+    return [] if model is None else [model]
+
+
 def shown_in(model: Any) -> dict[str, int]:
     """How many numbers the terms of a sum show, by their names."""
     shown: dict[str, int] = {}

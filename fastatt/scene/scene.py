@@ -23,7 +23,7 @@ from fastatt.scene.inertia import (
     principal,
     sort_axes,
 )
-from fastatt.scene.law import Law, Sampling
+from fastatt.scene.law import Law, Place, Sampling
 from fastatt.scene.models import Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
@@ -268,6 +268,11 @@ class Scene:
         body = self.principal
         turned = body.axes is not None or (sorted_axes and not is_sorted(body.moments))
         return torque_record.dependence(self._law, turned=turned)
+
+    @property
+    def terms(self) -> list[tuple[Any, Place]]:
+        """The models of rate or torque that are added, and the place of each in the law."""
+        return list(zip(models.terms_of(self._acting), self._law.places, strict=True))
 
     @property
     def parts(self) -> dict[str, slice]:
