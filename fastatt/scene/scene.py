@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt._cached import cached_property
 from fastatt._jit import plain
 from fastatt.kernels import rigid
@@ -27,7 +27,7 @@ from fastatt.scene.law import Law, Place, Sampling
 from fastatt.scene.models import Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
-from fastatt.tracing.user import UserFunction
+from fastatt.tracing.user import FORMS, UserFunction
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,6 +180,8 @@ class Scene:
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
+        for law in filter(None, (structure.rotation.law, structure.force)):
+            _warn_of_pulses(law)
         object.__setattr__(self, "_law", structure.rotation.law)
         object.__setattr__(self, "states", carried)
         object.__setattr__(self, "samplings", structure.rotation.law.samplings)
@@ -392,6 +394,23 @@ class Scene:
         params = join([*columns, acting.params], n_bodies, "inertia, torque")
         structure = Structure(RigidBody(acting.structure, body.axes is not None))
         return acting._replace(structure=structure, params=params)
+
+
+def _warn_of_pulses(law: Law) -> None:
+    """Warn of functions that compare the time with what they read, where no step ends."""
+    for model in law.models:
+        function: Any = model.function if isinstance(model, models.UserModel) else None
+        if function is None or function.kept is None:
+            continue
+        first = sum(max(n, 1) for n in FORMS[model.form].before)
+        read = range(first, first + sum(n for _, n in function.form.reads))
+        if read and function.kept.compares(range(1), read):
+            names = ", ".join(name for name, _ in function.form.reads)
+            rounding.warn(
+                f"{model.kind}: found {function.described}, which compares the time with {names}; "
+                "no step ends where the result changes, so that such steps are of order 1: let a "
+                "SampledControl compare them at its samples, and read what it holds"
+            )
 
 
 def _functions_of(law: Law) -> Iterator[UserFunction]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt.tracing import functions, graph
 from fastatt.tracing.graph import Condition, Double
-from fastatt.tracing.nodes import Node, Recorded
+from fastatt.tracing.nodes import COMPARISONS, Node, Recorded, operands
 from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.source import evaluated, performed
 
@@ -50,6 +50,18 @@ class Kept(NamedTuple):
         """The tables that it reads."""
         found = (node.args[0] for node in self.nodes if node.op in ("gather", "look"))
         return {table: table.data for table in found}
+
+    def compares(self, *inputs: range) -> bool:
+        """Whether it compares numbers that depend on some of each of several ranges of inputs."""
+        depends: list[set[int]] = []
+        for node in self.nodes:
+            if node.op == "in":
+                depends.append({k for k, x in enumerate(inputs) if node.args[0] in x})
+            else:
+                depends.append(set().union(*(depends[i] for i in operands(node))))
+            if node.op in COMPARISONS and len(depends[-1]) == len(inputs):
+                return True
+        return False
 
     def replay(self, numbers: Sequence[Any]) -> list[Any]:
         """The results for numbers of a graph, dual numbers, or known ones."""

@@ -395,3 +395,39 @@ def scene_of(torque, **options):
 def test_what_is_refused(make, error, message):
     with pytest.raises(error, match=message):
         make()
+
+
+def pulsed(t, q, w, on, p):
+    """A valve that is open for a time after each whole second."""
+    since = t - math.floor(t)
+    return 0.0, 0.0, p[0] * (1.0 if since < on[0] else 0.0)
+
+
+def test_a_pulse_within_a_step_is_told():
+    on = T.SampledControl(on_time, 1.0, params=(1.5, 6.0), holds=1)
+    terms = {"on": on, "jets": T.Custom(pulsed, (0.6,), reads="on")}
+    with pytest.warns(fa.StepWarning, match="^torque: found pulsed.* compares the time with on"):
+        scene_of(T.Sum(terms))
+    force = fa.forces.Custom(lambda t, q, w, v, on, p: (1.0 if t < on[0] else 0.0,) * 3, reads="on")
+    with pytest.warns(fa.StepWarning, match="^force: found .* compares the time with on"):
+        scene_of(T.Sum({"on": on}), mass=1.0, force=force)
+
+
+def test_momentum_of_wheels_in_a_sum(tmp_path):
+    """Numbers that exert nothing leave the momentum as it is; coils do not."""
+    wheels = T.ReactionWheels(np.eye(3), 0.02, T.QuaternionPD(1.0, 5.0))
+    terms = {"held": HELD, "wheels": wheels, "rotor": T.Rotor((0.0, 0.1, 0.0))}
+    scene = fa.Scene(inertia=wheels.body_inertia(INERTIA), torque=T.Sum(terms))
+    how = {"dt": 0.05, "n_steps": 100, "save_every": 50, "method": "rk8"}
+    run = fa.propagate(scene, Q0, W0, s0={"wheels": [0.5, -0.2, 0.3]}, **how)
+    assert fa.drift(run, scene).momentum.max() < 1e-14
+    total = np.asarray(scene.inertia) @ run.w[..., None]
+    total = total[..., 0] + run.s[:, run.parts["wheels"]] + [0.0, 0.1, 0.0]
+    moved = fa.quat_rotate(run.q, total)
+    np.testing.assert_allclose(moved, np.broadcast_to(moved[0], moved.shape), rtol=0.0, atol=1e-14)
+    coiled, _ = unloading()
+    run = fa.propagate(coiled, Q0, W0, s0=[0.5, -0.2, 0.3], **how)
+    assert fa.drift(run, coiled).momentum is None
+    run.to_csv(tmp_path / "run.csv")
+    header = (tmp_path / "run.csv").read_text().splitlines()[0]
+    assert header == "t,q0,q1,q2,q3,wx,wy,wz,wheels0,wheels1,wheels2,status"
