@@ -315,6 +315,13 @@ class Scope:
             stepped = chosen(self.motion, t, h, x)
         return stepped
 
+    def shown(self, t: Any, x: Vector, names: Sequence[str]) -> list[Vector]:
+        """What terms of the torque show at a state, by their names, in doubles."""
+        if not names:
+            return []
+        assert isinstance(self.motion, Coupled)
+        return [tuple(map(Double, numbers)) for numbers in self.motion.shown(t, x, names)]
+
     def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
         """A user-defined function of time, attitude, angular velocity and more, in doubles."""
         q, w = self.motion.pose(t, x)

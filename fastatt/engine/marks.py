@@ -47,12 +47,15 @@ class Event:
         The direction of the crossing.
     terminal : bool
         Whether the body stops there.
+    reads : tuple of str
+        The names of the terms whose numbers the function takes.
     """
 
     #: a ``UserFunction`` in a run
     function: Any
     direction: int = 0
     terminal: bool = False
+    reads: tuple[str, ...] = ()
 
 
 def groups(job: Job) -> dict[str, int]:
@@ -86,9 +89,10 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
         # the scene's ``params`` are the last parameters of the rotation
         params = of_rotation[len(of_rotation) - event.function.n_params :]
         # whether it takes velocity and position, not only time, attitude and rate
-        is_placed = len(event.function.form.before) > 4
+        is_placed = len(event.function.form.before) - len(event.reads) > 4
         placed = (moved[:3], moved[3:]) if is_placed else ()
-        results.append(scope.called(event.function.call, t, x, *placed, s, params))
+        read = scope.shown(t, x, event.reads)
+        results.append(scope.called(event.function.call, t, x, *placed, *read, s, params))
     return results
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks, rounding
 from fastatt.engine.marks import Event
-from fastatt.scene.models import parameters
+from fastatt.scene.models import Packing, names_in, parameters, readings, shown_in
 from fastatt.scene.scene import Scene
 from fastatt.tracing.user import FORMS, UserFunction
 
@@ -23,7 +23,12 @@ _FORMS = {
 }
 
 
-def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -> Event:
+def event(
+    g: Callable[..., float],
+    direction: int = 0,
+    terminal: bool = False,
+    reads: str | tuple[str, ...] = (),
+) -> Event:
     """Locate the first time at which a function of a body's motion crosses zero.
 
     The result is passed to ``fastatt.propagate(..., events=[...])``. ``Trajectory.event_times``
@@ -51,6 +56,9 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
         Whether the body stops at the event: all later saves hold its state at the event, its later
         events are not located, and its status does not change. The run continues for the other
         bodies.
+    reads : str or tuple of str, default ()
+        Names of terms of the torque, a :class:`fastatt.torques.Sum`, whose numbers g takes as
+        tuples, one for each name, before s: ``g(t, q, w, wheels, p)``.
 
     Returns
     -------
@@ -92,7 +100,7 @@ def event(g: Callable[..., float], direction: int = 0, terminal: bool = False) -
     way = checks.any_real("direction", direction, "-1, 0, 1")
     if way not in (-1.0, 0.0, 1.0):
         raise ValueError(f"direction: found {checks.brief(direction)}; accepted: -1, 0, 1")
-    return Event(g, int(way), checks.flag("terminal", terminal))
+    return Event(g, int(way), checks.flag("terminal", terminal), names_in("reads", reads))
 
 
 def _frozen(event: Event, scene: Scene, position: bool) -> Event:
@@ -103,11 +111,15 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
     function = event.function
     if not isinstance(function, UserFunction):
         function = UserFunction(function)
-    if len(function.required) not in _FORMS:
-        accepted = ", ".join(FORMS[name].with_states(n).call for name, n in _FORMS.values())
+    packing = Packing(None, "event", {}, shown=shown_in(scene.torque))
+    reads = readings(event.reads, packing)
+    forms = {name: FORMS[name].with_reads(reads) for name, _ in _FORMS.values()}
+    arguments = len(function.required) - len(reads)
+    if arguments not in _FORMS:
+        accepted = ", ".join(forms[name].with_states(n).call for name, n in _FORMS.values())
         raise TypeError(f"event: found {function.called_as}; accepted: {accepted}")
-    form, is_of_states = _FORMS[len(function.required)]
-    call = FORMS[form].with_states(is_of_states).call
+    form, is_of_states = _FORMS[arguments]
+    call = forms[form].with_states(is_of_states).call
     if form == "event at position" and not position:
         raise ValueError(
             f"event: found {call}, but no position is carried; accepted: with r0, in a scene "
@@ -115,11 +127,12 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
         )
     if is_of_states and not scene.states:
         raise ValueError(
-            f"event: found {call}, but the scene has no states; accepted: {FORMS[form].call}, "
+            f"event: found {call}, but the scene has no states; accepted: {forms[form].call}, "
             "or a scene with states"
         )
     params, states = parameters("params", scene.params), scene.states if is_of_states else 0
-    return replace(event, function=function.of(form, params.shape[-1], params, states))
+    function = function.of(form, params.shape[-1], params, states, reads=reads)
+    return replace(event, function=function)
 
 
 def warn_of_lost(lost: NDArray[np.bool_]) -> None:

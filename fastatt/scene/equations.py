@@ -7,7 +7,7 @@ the formulas; the parameters are passed separately, as a flat tuple.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -460,6 +460,15 @@ class Coupled(EquationsOfMotion):
         base, n = self.inner.base(a), self.plain.size
         states = self.inner.updated_states(t, base[:n], base[n:], self._named(moved), *jump)
         return (*x[: len(x) - self._states], *states)
+
+    def shown(self, t: Any, x: Vector, names: Iterable[str]) -> list[Vector]:
+        """What terms of a body's torque show at a state, by their names."""
+        assert isinstance(self.stage, Body)
+        q, w = self.pose(t, x)
+        shown = self.stage.shown(self.instant(t), self._named(self._split(x)[1]))
+        return [
+            shown(Pose(QUATERNION, quat.renormalise(q), w, shown=shown), name) for name in names
+        ]
 
     def base(self, x: Vector) -> Vector:
         a, moved = self._split(x)

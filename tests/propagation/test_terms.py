@@ -431,3 +431,40 @@ def test_momentum_of_wheels_in_a_sum(tmp_path):
     run.to_csv(tmp_path / "run.csv")
     header = (tmp_path / "run.csv").read_text().splitlines()[0]
     assert header == "t,q0,q1,q2,q3,wx,wy,wz,wheels0,wheels1,wheels2,status"
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+@pytest.mark.parametrize("inertia", [INERTIA, np.diag(INERTIA) + 0.3])
+def test_events_read_names(inertia, is_terminal):
+    """Momenta and speeds of wheels, beside events of all states and of the speeds at each save."""
+    wheels = T.ReactionWheels(np.eye(3), 0.02, T.QuaternionPD(1.0, 5.0))
+    terms = {"held": HELD, "wheels": wheels}
+    scene = fa.Scene(inertia=wheels.body_inertia(inertia), torque=T.Sum(terms))
+    how = {"s0": {"wheels": [0.5, -0.2, 0.3]}, "dt": 0.05, "method": "rk8"}
+
+    def by_name(t, q, w, h, p):
+        return h[1] + 0.4
+
+    def by_state(t, q, w, s, p):
+        return s[4] + 0.4
+
+    def by_speed(t, q, w, speeds, h, s, p):
+        return speeds[1] - (s[4] / 0.02 - w[1]) + h[1] + 0.4
+
+    events = [
+        fa.event(by_name, terminal=is_terminal, reads="wheels"),
+        fa.event(by_state, terminal=is_terminal),
+        fa.event(by_speed, terminal=is_terminal, reads=("wheels.speeds", "wheels")),
+    ]
+    each = [
+        fa.propagate(scene, Q0, W0, t_end=10.0, events=[x], **how).event_times[0] for x in events
+    ]
+    assert 0.1 < each[0] < 9.9
+    assert each[0] == each[1]
+    assert each[2] == pytest.approx(each[0], abs=1e-10)
+    end = fa.propagate(scene, Q0, W0, save_at=[each[0]], **how)
+    assert end.s[-1, 4] == pytest.approx(-0.4, abs=1e-12)
+    with pytest.raises(ValueError, match=r"^event: reads: found 'coils'; accepted: 'held'"):
+        fa.propagate(scene, Q0, W0, t_end=1.0, events=[fa.event(by_name, reads="coils")], **how)
+    with pytest.raises(TypeError, match=r"accepted: event\(t, q, w, wheels, p\), "):
+        fa.propagate(scene, Q0, W0, t_end=1.0, events=[fa.event(held, reads="wheels")], **how)
