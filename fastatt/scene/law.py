@@ -14,6 +14,10 @@ from fastatt.scene.time_series import TableLayout, recorded
 from fastatt.tracing.formulas import Vector
 
 
+# those that are due are the bits of a number
+_MOST_JUMPS = 63
+
+
 class Sampling(NamedTuple):
     """Times at which states jump: start + k period for all whole k, s."""
 
@@ -157,7 +161,12 @@ class Law:
 
         A term reads what those before it have just computed.
         """
-        return tuple((i, x) for i, model in enumerate(self.models) for x in model.samplings)
+        jumps = tuple((i, x) for i, model in enumerate(self.models) for x in model.samplings)
+        if len(jumps) > _MOST_JUMPS:
+            raise ValueError(
+                f"torque: found {len(jumps)} sampled controllers; accepted: up to {_MOST_JUMPS}"
+            )
+        return jumps
 
     def updated(
         self, t: Any, pose: Any, p: Any, states: Vector, which: int | None, sampling: Sampling

@@ -375,6 +375,8 @@ def scene_of(torque, **options):
      "QuaternionPD.target: found 'b', which has 3 numbers; accepted: 4"),
     (lambda: scene_of(T.Sum({"a": T.Damping("b"), "b": HELD})), (ValueError, TypeError),
      "Damping.coefficient: found 'b'"),
+    (lambda: scene_of(T.Sum([HELD] * 64)), ValueError,
+     "^torque: found 64 sampled controllers; accepted: up to 63$"),
     (lambda: T.Custom(held, reads=3), TypeError, "^Custom.reads: found 3; accepted: a name"),
     (lambda: T.SampledControl(held, 1.0, reads=[3]), TypeError, "^SampledControl.reads: found"),
     (lambda: scene_of(T.Sum({"a": T.Custom(held, reads="b"), "b": HELD})), TypeError,
