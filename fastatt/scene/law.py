@@ -13,7 +13,6 @@ from fastatt._cached import cached_property
 from fastatt.scene.time_series import TableLayout, recorded
 from fastatt.tracing.formulas import Vector
 
-
 # those that are due are the bits of a number
 _MOST_JUMPS = 63
 
