@@ -48,6 +48,9 @@ class RunWithEvents(Run):
             self.states[:, self._program.is_of_events] = kept["of_events"]
             for name, values in self._found().items():
                 values[:] = kept[name]
+            # only what was located has a mark between two pieces
+            marks = self.states[:, self._event("mark")]
+            marks[np.isnan(self.results.event_times)] = np.nan
 
     def kept(self) -> dict[str, Array]:
         """Copies of what another run needs to go on from here."""

@@ -6,11 +6,13 @@ of rounding is lost, and the invariants are measured from a new start.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
+import math
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -25,9 +27,14 @@ from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
-_FORMAT = 12
+_FORMAT = 13
 # s between two checkpoints
 _WRITTEN = 10.0
+# what the options of a run are
+_TYPES = {
+    "dt": float, "t0": float, "done": int, "one_body": bool, "compensated": bool, "r0": bool,
+    "method": str, "representation": str, "equations": str, "events": str,
+}  # fmt: skip
 #: the largest number of bodies of which a trajectory holds its end
 MOST = 1 << 18
 #: the rest of a message about a trajectory without its end
@@ -54,8 +61,14 @@ class End:
         """The initial values."""
         return Initial(self.arrays["q"], self.arrays["y"], self.options["one_body"])
 
-    def check(self, equations: str, params: NDArray[np.float64], events: str) -> None:
-        """Refuse to resume with another scene, or with other events where bodies have stopped."""
+    def check(
+        self, equations: str, params: NDArray[np.float64], events: str,
+        shapes: Mapping[str, tuple[int, ...]],
+    ) -> None:  # fmt: skip
+        """Refuse to resume with another scene, or with other events where bodies have stopped.
+
+        ``shapes`` are those of the arrays of a run with these events.
+        """
         is_same = self.options["equations"] == equations
         if not (is_same and np.array_equal(self.arrays["params"], params)):
             raise ValueError(
@@ -68,10 +81,46 @@ class End:
                 "events: found others than those of the run that is resumed; accepted: the same, "
                 "since bodies stop at terminal ones"
             )
+        for name, shape in shapes.items():
+            if name == "states" or self.options["events"] == events:
+                kept = self.arrays.get(name, np.zeros(0))
+                if kept.shape != shape or kept.dtype.kind != "f":
+                    raise ValueError(
+                        f"run: found {name} {kept.shape} of {kept.dtype}; accepted: floats {shape}"
+                    )
+
+    @property
+    def digest(self) -> str:
+        """A hash of all that it holds."""
+        read = hashlib.sha256(json.dumps(self.options, sort_keys=True).encode())
+        for name, array in sorted(self.arrays.items()):
+            read.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+        return read.hexdigest()
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether options and arrays have the types and sizes of those of a run."""
+        options, reals = self.options, [self.arrays[name] for name in ("states", "q", "y")]
+        n, params = len(reals[0]), self.arrays["params"]
+        return (
+            all(type(options[name]) is of for name, of in _TYPES.items())
+            and type(options["normalise"]) in (str, int)
+            and math.isfinite(options["t0"])
+            and 0.0 < abs(options["dt"]) < math.inf
+            and 0 <= options["done"] < 1 << 53
+            and all(x.ndim == 2 and len(x) in (1, n) for x in reals)
+            and len({x.dtype for x in reals}) == 1
+            and reals[0].dtype in (np.float32, np.float64)
+            and reals[1].shape[1] == 4
+            and params.dtype == np.float64
+            and params.ndim in (1, 2)
+            and n == max(map(len, reals)) == (1 if options["one_body"] else n)
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the end to a file, completely or not at all."""
-        header = np.array(json.dumps({"format": _FORMAT, **self.options}))
+        marked = {"format": _FORMAT, "digest": self.digest, **self.options}
+        header = np.array(json.dumps(marked))
         arrays: dict[str, Any] = {"header": header, **self.arrays}
         whole = io.BytesIO()  # the archive needs a place in the file, which devices have not
         np.savez(whole, **arrays)
@@ -86,16 +135,41 @@ def loaded(path: str | os.PathLike[str]) -> End:
     """
     source = target("run", path)
     try:
-        with source.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            options = json.loads(str(file["header"]))
-            if options.pop("format") != _FORMAT:
-                raise KeyError("format")
-            return End(options, {name: file[name] for name in file if name != "header"})
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
-        raise ValueError(
-            f"run: {str(path)!r} is not the end of a run; accepted: a file that "
-            "Trajectory.save_end or checkpoint= of this version wrote"
-        ) from None
+        with source.open("rb") as opened, zipfile.ZipFile(opened) as file:
+            arrays = {x.filename.removesuffix(".npy"): _array(file, x) for x in file.infolist()}
+        options = json.loads(str(arrays.pop("header")))
+        number, digest = options.pop("format"), options.pop("digest", "")
+        end = End(options, arrays)
+        is_whole = digest == end.digest and end.is_consistent
+    except OSError:
+        raise
+    except Exception:  # noqa: BLE001 (archives, arrays and texts that are damaged raise any)
+        reason = "is not the end of a run"
+    else:
+        if number != _FORMAT:
+            reason = f"has the format {checks.brief(number)} of another version"
+        elif not is_whole:
+            reason = "is damaged"
+        else:
+            return end
+    raise ValueError(
+        f"run: {str(path)!r} {reason}; accepted: a file that Trajectory.save_end or checkpoint= of "
+        "this version wrote"
+    )
+
+
+def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """An array of an archive; raises ``ValueError`` if it is not as long as it says."""
+    if member.compress_size != member.file_size:
+        raise ValueError(member.filename)
+    content = io.BytesIO(file.read(member))
+    if np.lib.format.read_magic(content) != (1, 0):
+        raise ValueError(member.filename)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(content)
+    if math.prod(shape) * dtype.itemsize != member.file_size - content.tell():
+        raise ValueError(member.filename)
+    content.seek(0)
+    return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
 
 
 def end_of(run: Any) -> End:

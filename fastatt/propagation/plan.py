@@ -352,6 +352,19 @@ class Plan:
         initial = {"q": start.q.copy(), "y": start.y.copy(), "params": self.packed.params}
         return End(options, {**initial, **run.kept()})
 
+    @property
+    def kept_shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shapes of the arrays from which another run goes on."""
+        assert self.program is not None
+        n, of_events = self.n_bodies, self.program.is_of_events
+        shapes: dict[str, tuple[int, ...]] = {"states": (n, int((~of_events).sum()))}
+        if self.choice.events:
+            shapes |= {
+                "of_events": (n, int(of_events.sum())), "stopped": (n,),
+                "event_times": (n, len(self.choice.events)), "final": (n, self.width + 1),
+            }  # fmt: skip
+        return shapes
+
     @cached_property
     def _options(self) -> dict[str, Any]:
         """What the end of a run says of its plan."""

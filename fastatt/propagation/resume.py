@@ -6,6 +6,8 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from fastatt import checks
 from fastatt.engine.marks import Event
 from fastatt.methods import METHODS, Method
@@ -27,6 +29,7 @@ def resume(
     t_end: float | None = None,
     method: Method | None = None,
     save_every: int | None = None,
+    save_at: ArrayLike | None = None,
     n_threads: int | None = None,
     progress: bool = False,
     on_save: OnSave | Sequence[OnSave] | None = None,
@@ -55,8 +58,11 @@ def resume(
         The method of the run, if it was made with :func:`fastatt.runge_kutta` or
         :func:`fastatt.lie_group`.
     save_every : int, optional
-        Save the state at the end of the run, the state after every ``save_every`` further steps,
-        and the final state. The default saves the final state only.
+        Save the state at the end of the run, the state after every ``save_every`` steps, counted
+        from the initial values as in the run, and the final state. The default saves the final
+        state only.
+    save_at : array_like of shape (S,), optional
+        Times of the saves, s, from the end of the run on, as in :func:`propagate`.
     n_threads : int, optional
         Number of threads, as in :func:`propagate`.
     progress : bool, default False
@@ -114,7 +120,7 @@ def resume(
     checked_events = events_of(events, scene, position=position)
     choice = _choice_of(scene, end.options, method, checked_events)
     dt, t0, done = (end.options[name] for name in ("dt", "t0", "done"))
-    schedule = schedule_of(dt, n_steps, t_end, save_every, t0=t0, done=done)
+    schedule = schedule_of(dt, n_steps, t_end, save_every, save_at, t0=t0, done=done)
     if schedule.n_steps < 0:
         reached, order = t0 + done * dt, "after" if dt > 0.0 else "before"
         raise ValueError(
@@ -123,7 +129,7 @@ def resume(
     bodies = end.start.bodies
     options = options_of(schedule, bodies, n_threads, progress, on_save, checkpoint)
     plan = prepared(scene, bodies, choice, schedule, end.start.q.dtype, position=position)
-    end.check(plan.equations, plan.packed.params, plan.events_key)
+    end.check(plan.equations, plan.packed.params, plan.events_key, plan.kept_shapes)
     return plan.run(end.start, t0, resumed=end, **options)
 
 

@@ -33,7 +33,8 @@ _EPS = float(np.finfo(np.float64).eps)
 class Schedule:
     """The steps and saves of a run that begins after ``done`` steps.
 
-    Saves are made after every so many steps, or at the times ``save_at``, or at the end only.
+    Saves are made at the start and at every so many steps from step 0 on, or at the times
+    ``save_at``, or at the end only.
     """
 
     #: the step size, s, of all bodies or of each
@@ -71,14 +72,19 @@ class Schedule:
         """The number of saves; memory may not hold a list of them."""
         if self.save_at is not None:
             return self.save_at.size
-        return 1 if self.every is None else -(-self.n_steps // self.every) + 1
+        if self.every is None or not self.n_steps:
+            return 1
+        return 2 + (self.end - 1) // self.every - self.done // self.every
 
     @cached_property
     def at(self) -> tuple[Times, Times]:
         """Times of the saves since step 0, s, and the slack for their rounding."""
         if self.saves_at is not None:
             return self.saves_at
-        counts = [] if self.every is None else [*range(self.done, self.end, self.every)]
+        counts: list[int] = []
+        if self.every is not None and self.n_steps:
+            later = (self.done // self.every + 1) * self.every
+            counts = [self.done, *range(later, self.end, self.every)]
         with np.errstate(over="ignore"):
             since = np.array(counts, dtype=np.float64) * self.h
             slack = np.append(16.0 * _EPS * np.abs(since), self.rounding)
@@ -175,7 +181,7 @@ def schedule_of(
     if save_at is not None:
         if not math.isfinite(t0 + duration):
             raise ValueError(f"dt: the run overflows at {t0} + {duration} s; accepted: shorter")
-        save_at = _times(save_at, t0, t0 + duration)
+        save_at = _times(save_at, t0 + done * float(sizes[0]), t0 + duration)
         at = save_at - t0, 16.0 * _EPS * (np.abs(save_at) + abs(t0))
     n_steps = int(counts.max()) - done
     return Schedule(sizes, n_steps, duration, slack, save_every, save_at, at, done, end)

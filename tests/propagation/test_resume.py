@@ -220,7 +220,7 @@ def test_a_file_of_another_format_is_refused(tmp_path):
         if number == about["format"]:
             fa.resume(SCENES["free"], path, n_steps=1)
             continue
-        with pytest.raises(ValueError, match="is not the end of a run"):
+        with pytest.raises(ValueError, match=r"has the format \d+ of another version"):
             fa.resume(SCENES["free"], path, n_steps=1)
 
 
@@ -246,10 +246,50 @@ def test_what_can_not_go_on(tmp_path):
     text = tmp_path / "text"
     text.write_text("nothing")
     for bad in (path, short, text):
-        with pytest.raises(ValueError, match=r"run: .* is not the end of a run; accepted: a file"):
+        with pytest.raises(ValueError, match=r"run: .*(is not the end|has the format 0 of)"):
             fa.resume(free, bad, n_steps=1)
     with pytest.raises(FileNotFoundError):
         fa.resume(free, tmp_path / "none", n_steps=1)
+
+
+@pytest.mark.parametrize("change", ["a bit", "a number", "a key", "a length"])
+def test_a_file_whose_numbers_were_changed_is_refused(change, tmp_path):
+    path = as_file(fa.propagate(SCENES["free"], Q0, W0, n_steps=2, **RK4), tmp_path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    if change == "a number":
+        arrays["states"][0, 0] += 1e-9
+    elif change == "a key":
+        header = json.loads(str(arrays["header"]))
+        arrays["header"] = np.array(json.dumps(header | {"done": 1}))
+    elif change == "a length":  # more memory than there is
+        arrays["states"] = np.zeros((0, 7))
+    np.savez(path.with_suffix(".npz"), **arrays)
+    content = bytearray(path.with_suffix(".npz").read_bytes())
+    if change == "a bit":
+        content[len(content) // 2] ^= 4
+    elif change == "a length":
+        content = content.replace(b"(0, 7), }        ", b"(10000000000, 7),}")
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"run: .* (is damaged|is not the end of a run);"):
+        fa.resume(SCENES["free"], path, n_steps=1)
+
+
+def test_saves_go_on_at_the_times_of_the_run():
+    """Every third step of a run, and chosen times, from one that ended between two of them."""
+    free, whole = SCENES["free"], {"n_steps": 20, **RK4}
+    first = fa.propagate(free, Q0, W0, **{**whole, "n_steps": 7})
+    by_steps = fa.propagate(free, Q0, W0, **whole, save_every=3)
+    rest = fa.resume(free, first, n_steps=13, save_every=3)
+    assert np.array_equal(rest.t[1:], by_steps.t[3:])
+    assert np.array_equal(rest.q[1:], by_steps.q[3:])
+    assert rest.t[0] == first.t[-1]
+    times = by_steps.t[-1] * np.array([0.5, 0.77, 1.0])
+    at_times = fa.propagate(free, Q0, W0, **RK4, save_at=times)
+    rest = fa.resume(free, first, save_at=times)
+    assert np.array_equal(rest.q, at_times.q)
+    with pytest.raises(ValueError, match=r"save_at\[0\] is"):
+        fa.resume(free, first, save_at=[0.01, times[-1]])
 
 
 KILLED = """
