@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.arrays import (
     check_broadcast,
     floats,
@@ -221,7 +221,8 @@ class Estimates:
         measured : array_like of shape (3,) or (N, 3)
             Vectors along body axes, other than zero.
         reference : array_like of shape (3,) or (N, 3)
-            The same vectors along inertial axes.
+            The same vectors along inertial axes, of the same length: a RuntimeWarning tells of
+            lengths that differ by a factor of 2 or more, as in other units.
         sigma : float
             Standard deviation of each component, in the unit of the vectors, above 0.
         gate : float, optional
@@ -242,6 +243,7 @@ class Estimates:
         call = self._call("vector")
         seen = self._directions("measured", measured)
         known = self._directions("reference", reference)
+        _warn_of_lengths(seen, known)
         call.shared[:] = largest_square(gate), variance("sigma", sigma)
         call.own[:, :3], call.own[:, 3:] = seen, known
         call.run()
@@ -349,3 +351,19 @@ class Estimates:
         y = checks.array(self._name, y, f"({k},) or ({n}, {k})")
         d = np.concatenate([attitude_error(self._q, attitudes), y - self._y], axis=-1)
         return self._figures(normalised_square(d, self._P))
+
+
+def _warn_of_lengths(measured: NDArray[Any], reference: NDArray[Any]) -> None:
+    """Warn of measured vectors that are twice as long as their references, or half as long."""
+    squares = [np.einsum("...i,...i", x, x) for x in (measured, reference)]
+    with np.errstate(all="ignore"):
+        ratio = squares[0] / squares[1]
+    is_off = np.isfinite(ratio) & (ratio != 0.0) & ((ratio > 4.0) | (ratio < 0.25))
+    if is_off.any():
+        k = int(np.argmax(is_off))
+        sizes = [float(np.sqrt(np.broadcast_to(x, np.shape(ratio)).ravel()[k])) for x in squares]
+        rounding.warn(
+            f"measured: found a vector of length {sizes[0]:.4g} with a reference of "
+            f"{sizes[1]:.4g} (filter {k}); accepted: both in one unit, or both of length 1",
+            RuntimeWarning,
+        )

@@ -209,6 +209,7 @@ class UKF(Estimates):
         noise: ArrayLike,
         *,
         gate: float | None = None,
+        period: ArrayLike | None = None,
     ) -> Any:
         """Update with a measurement.
 
@@ -223,6 +224,10 @@ class UKF(Estimates):
             Covariance of its noise.
         gate : float, optional
             Measurements whose normalised innovation squared is larger are not used.
+        period : float or array_like of shape (m,), optional
+            Periods of measurements that are angles, such as 2π of a heading in rad, infinite for
+            others. Differences between points, and from the measurement, are then the shortest
+            ones. Without it a heading near ±π is wrong by up to a whole turn.
 
         Returns
         -------
@@ -241,11 +246,13 @@ class UKF(Estimates):
         seen = checks.array("measured", measured, f"({m},) or ({n}, {m})", flag=True)
         if not self._skips:
             checks.finite("measured", seen)
+        wrapped = _wrapping(period, m)
+        z = z[:, :1] + wrapped(z - z[:, :1])
         expected, slopes, spread = self._moments(z, columns)
         across = np.swapaxes(slopes, 1, 2)
         S = across @ slopes + spread + added
         gain = np.swapaxes(np.linalg.solve(S, across), 1, 2)
-        innovation = seen - expected
+        innovation = wrapped(seen - expected)
         nis = normalised_square(innovation, S)
         d = (L @ gain @ innovation[..., None])[..., 0]
         left = np.eye(size) - gain @ across
@@ -262,6 +269,20 @@ class UKF(Estimates):
         """Store the estimates of those filters that are used."""
         self._q[used], self._y[used] = normalised(q)[used], y[used]
         self._P[used] = 0.5 * (P + np.swapaxes(P, 1, 2))[used]
+
+
+def _wrapping(period: Any, m: int) -> Callable[[Any], Any]:
+    """Differences of m measurements, the shortest ones of those that have a period."""
+    if period is None:
+        return lambda difference: difference
+    periods = np.asarray(period, dtype=np.float64)
+    if periods.shape not in ((), (m,)) or not (periods > 0.0).all():
+        raise ValueError(
+            f"period: found {checks.brief(period)}; accepted: a number above 0, or ({m},), "
+            "infinite for what is no angle"
+        )
+    turns = np.where(np.isinf(periods), 0.0, periods)
+    return lambda difference: difference - turns * np.rint(difference / periods)
 
 
 def attitude_variance(P: Floats) -> Any:

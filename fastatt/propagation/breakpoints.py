@@ -39,7 +39,7 @@ class Divisions(NamedTuple):
 
 def divisions_of(scene: Scene) -> Divisions:
     """What divides the steps of runs of a scene."""
-    return Divisions(corners_of(scene), scene.packed(None).structure.rotation.law.clocks)
+    return Divisions(corners_of(scene), scene.clocks)
 
 
 def corners_of(scene: Scene) -> NDArray[np.float64]:

@@ -18,10 +18,10 @@ from fastatt.scene.scene import Scene
 def evaluate(
     scene: Scene, attitude: Attitude, start: Initial, since: NDArray[Any], n_threads: int,
     results: Results,
-) -> None:  # fmt: skip
+) -> bool:  # fmt: skip
     """Write the states of a free body or a heavy top at some times since the start, s.
 
-    Warns if rounding leaves few digits of the angles.
+    Warns if rounding leaves few digits of the angles, and returns whether it did.
     """
     from fastatt import closed_form
 
@@ -38,6 +38,7 @@ def evaluate(
         # |w| and what it gains are below twice their largest component
         largest = max(start.y.max(), -start.y.min()) + float(solution.gain.max())
         most = 2.0 * largest * max(abs(since[0]), abs(since[-1]))
+    text = ""
     if not most <= rounding.most_turned(dtype) ** 0.5:
         angles = closed_form.turned(start.y, since, solution.gain)
         if text := rounding.of_angles(angles, dtype):
@@ -47,3 +48,4 @@ def evaluate(
     if not np.isfinite(total):
         bad = ~np.isfinite(results.saves).all(axis=(0, 2))
         results.status[...] |= bad * np.uint8(Status.NON_FINITE)
+    return bool(text)

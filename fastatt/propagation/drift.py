@@ -139,6 +139,8 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
         raise ValueError(
             "run: has 1 save, to which nothing can be compared; accepted: two or more (save_every=)"
         )
+    if not _is_of(run, scene):
+        raise ValueError("scene: differs from that of the run; accepted: the scene of the run")
     norm_error = np.abs(run.norm_error[:, 0] if run.one_body else run.norm_error)
     C = run.dcm
     matrix = np.sqrt(((C @ np.swapaxes(C, -1, -2) - np.eye(3)) ** 2).sum(axis=(-2, -1)))
@@ -158,6 +160,21 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
         **measured,
         reasons={name: why[name] for name, values in measured.items() if values is None},
         trajectory=run,
+    )
+
+
+def _is_of(run: Trajectory, scene: Scene) -> bool:
+    """Whether a run is of a scene, but for the parameters that a call of a plan may replace."""
+    method, position = run.record, "r" in run.carried
+    bodies = run.status.size
+    packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
+    if run.packed is None or packed.structure != run.packed.structure:
+        return False
+    end = packed.structure.rotation.n_params
+    user = 0 if scene.params is None else np.shape(scene.params)[-1]
+    return all(
+        np.array_equal(packed.params[..., part], run.packed.params[..., part])
+        for part in (slice(0, end - user), slice(end, None))
     )
 
 

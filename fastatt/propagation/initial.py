@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.scene.scene import Scene
 
 #: initial values of a scene, in the order of the state
@@ -85,12 +85,33 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
     if len(set(rows.values()) - {1}) > 1:
         told = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
+    if "s0" in carried:
+        _warn_of_speeds(scene, carried["s0"], carried.get("w0"))
     return start, carried
+
+
+def _warn_of_speeds(scene: Scene, s0: NDArray[Any], w0: Any) -> None:
+    """Warn of wheels that start beyond the speed to which their motors accelerate them."""
+    for model, part in scene.wheels:
+        if model.max_speed is None:
+            continue
+        count = np.shape(model.axes)[-2]
+        speeds = np.atleast_2d(np.abs(model.speeds(s0[..., part][..., :count], w0)))
+        most = np.broadcast_to(model.max_speed, speeds.shape)
+        over = speeds > 1.01 * most
+        if over.any():
+            b, k = np.argwhere(over)[0]
+            rounding.warn(
+                f"s0: wheel {k} of body {b} starts at {speeds[b, k]:.6g} rad/s, beyond its "
+                f"max_speed {most[b, k]:g}; s0 takes angular momenta, N·m·s, not speeds: "
+                "ReactionWheels.momenta(speeds, w0) gives them",
+                RuntimeWarning,
+            )
 
 
 def _states(scene: Scene, by_name: Mapping[str, Any]) -> NDArray[np.float64]:
     """States from those of the terms, by their names; 0 of those that only samples set."""
-    parts, clocks = scene.parts, scene.packed(None).structure.rotation.law.clocks
+    parts, clocks = scene.parts, scene.clocks
     for name in by_name.keys() - parts.keys():
         known = ", ".join(map(repr, parts)) or "an array, since no term has a name"
         raise ValueError(f"s0: found {name!r}; accepted: {known}")

@@ -16,6 +16,8 @@ from fastatt.engine.status import Status, count_flags
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.initial import Initial
+from fastatt.propagation.stiffness import fastest_states
+from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import fastest_decay
 
@@ -61,6 +63,21 @@ class StepLimits:
         least = 0.0 if self.attitude.compensated else float(np.finfo(self.dtype).eps)
         return least, min(self.turn, rounding.most_half_right(self.dtype))
 
+    def warn_of_states(self, packed: Packed, start: Initial, t0: float) -> None:
+        """Warn of states of the scene that change too fast for the steps, at the start."""
+        decay, frequency = fastest_states(packed, start, t0)
+        h, limit = float(np.abs(self.dt).max()), self.method.damping_limit
+        for rate, most, what in (
+            (decay, limit, "decays by"), (frequency, 0.5 * limit, "oscillates by"),
+        ):  # fmt: skip
+            if rate * h > most:
+                rounding.warn(
+                    f"dt: a state of the scene {what} {rate * h:.3g} rad a step (∂ṡ/∂s has an "
+                    f"eigenvalue of {rate:.3g} 1/s); {self.method.name} is trustworthy up to "
+                    f"{most:.3g}: take |dt| <= {most / rate:.3g}"
+                )
+                return
+
     def warn(self, start: Initial, angles: Any = None, status: Any = None) -> bool:
         """Warn, once, of steps that are too large or too small.
 
@@ -74,14 +91,12 @@ class StepLimits:
         first = np.zeros(1)
         if self.scene.kind != "rate":
             first = first_step(self.scene, self.method, start.y[:, :3], self.dt)
-        if angles is None:
-            text = self._advice(first)
-        elif angles.max() < least <= first.max() and not status.any():
-            text = ""  # the only step is a shorter last one
-        else:
-            text = self._advice(angles)
-            if text or (status & Status.NON_FINITE).any():
-                text = self._advice(first) or text
+        text = "" if angles is None else self._advice(angles)
+        if angles is None or text or (status & Status.NON_FINITE).any():
+            text = self._advice(first) or text
+        # of a run whose only step is a shorter last one nothing is told
+        if angles is not None and angles.max() < least <= first.max() and not status.any():
+            text = ""
         if text:
             rounding.warn(text)
         return bool(text)

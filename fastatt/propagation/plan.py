@@ -208,7 +208,7 @@ class Plan:
         is_warned = False
         with progress_bar(progress, *output.length) as output.done:
             if self.program is None:
-                self._evaluate(start, output, n_threads)
+                is_warned = self._evaluate(start, output, n_threads)
             else:
                 write, takers = partial(self._end, start, t0), [output.take]
                 ends_on_step = schedule.t_end is None and not schedule.is_per_body
@@ -220,13 +220,17 @@ class Plan:
         limits.warn_of_status(output.results.status, is_warned=is_warned)
         return output.trajectory(end)
 
-    def _evaluate(self, start: Initial, output: Output, n_threads: int) -> None:
-        """Evaluate the closed form at the saves, a batch after the other."""
+    def _evaluate(self, start: Initial, output: Output, n_threads: int) -> bool:
+        """Evaluate the closed form at the saves, a batch after the other; whether it warned."""
+        is_warned = False
         for first, end in output.batches:
             results = output.results._replace(saves=output.results.saves[: end - first])
             since = self.schedule.at[0][first:end]
-            closed_run.evaluate(self.scene, self.attitude, start, since, n_threads, results)
+            is_warned |= closed_run.evaluate(
+                self.scene, self.attitude, start, since, n_threads, results
+            )
             output.hand_out(first, end)
+        return is_warned
 
     def _step(
         self, start: Initial, t0: float, output: Output,
@@ -240,6 +244,8 @@ class Plan:
         n, results, is_ring = self.n_bodies, output.results, output.is_ring
         squares, lost = np.zeros(n, self.dtype), np.zeros(results.event_times.shape, np.bool_)
         warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
+        if self.scene.states and self.schedule.n_steps and resumed is None:
+            self.limits.warn_of_states(self.packed, start, t0)
         is_one = is_ring or len(takers) > 1 or resumed is not None
         groups = self.schedule.groups(n, n if is_one else PART)
         for rows, h in groups:

@@ -137,8 +137,11 @@ class Scene:
     samplings: ClassVar[tuple[Sampling, ...]] = ()
     #: the samplings of the jumps, in their order
     jumps: ClassVar[tuple[Sampling, ...]] = ()
-    #: of the rate or the torque
+    #: for each state the sampling that sets it, None if it is stepped
+    clocks: ClassVar[tuple[Sampling | None, ...]] = ()
+    #: of the rate or the torque, and of the force
     _law: ClassVar[Law]
+    _force: ClassVar[Law | None]
 
     def __post_init__(self) -> None:
         checks.choice("frame", self.frame, ("body", "inertial"))
@@ -183,6 +186,8 @@ class Scene:
         for law in filter(None, (structure.rotation.law, structure.force)):
             _warn_of_pulses(law)
         object.__setattr__(self, "_law", structure.rotation.law)
+        object.__setattr__(self, "_force", structure.force)
+        object.__setattr__(self, "clocks", tuple(structure.rotation.law.clocks))
         object.__setattr__(self, "states", carried)
         object.__setattr__(self, "samplings", structure.rotation.law.samplings)
         object.__setattr__(self, "jumps", tuple(x for _, x in structure.rotation.law.jumps))
@@ -301,9 +306,16 @@ class Scene:
         cache. One that can't be followed (``reason`` says why), or is too long, is called for each
         body; a rate whose parameters all bodies share is called once for a group of bodies.
         """
-        structure = self.packed(None).structure
-        laws = (structure.rotation.law, structure.force)
+        laws = (self._law, self._force)
         return tuple(f for law in laws if law is not None for f in _functions_of(law))
+
+    @property
+    def wheels(self) -> list[tuple[Any, slice]]:
+        """The models of reaction wheels, each with the part of the states that it has."""
+        acting = list(_flattened(self.torque))
+        places = [place.states for place in self._law.places]
+        pairs = zip(acting, places, strict=True) if len(acting) == len(places) else ()
+        return [(model, part) for model, part in pairs if hasattr(model, "momenta")]
 
     @property
     def moves(self) -> bool:
@@ -411,6 +423,15 @@ def _warn_of_pulses(law: Law) -> None:
                 "no step ends where the result changes, so that such steps are of order 1: let a "
                 "SampledControl compare them at its samples, and read what it holds"
             )
+
+
+def _flattened(model: Any) -> Iterator[Any]:
+    """The terms of sums, or the model itself."""
+    if not isinstance(model, models.Sum):
+        yield model
+        return
+    for term in model.values:
+        yield from _flattened(term)
 
 
 def _functions_of(law: Law) -> Iterator[UserFunction]:

@@ -118,7 +118,7 @@ def test_a_resumed_run_is_the_whole_one(way, tmp_path):
     for first in (1, 25, 50, 51, 260):
         begun = run(way, n=first, checkpoint=tmp_path / "checkpoint")
         begun.save_end(tmp_path / "end")
-        steps, pieces = [*range(first, STEPS, 4), STEPS], []
+        steps, pieces = [first, *range((first // 4 + 1) * 4, STEPS, 4), STEPS], []
         options = {"n_steps": STEPS - first, "save_every": 4, **events}
         for end in (begun, tmp_path / "end", str(tmp_path / "checkpoint")):
             rest = fa.resume(scene, end, **options)

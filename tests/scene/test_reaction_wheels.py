@@ -91,6 +91,7 @@ def test_a_commanded_spin_up_is_that_of_dop853():
     agree(run, DRIVEN, truth(5.0, motors), 1e-10)
 
 
+@pytest.mark.filterwarnings("ignore:s0. wheel 1 of body 0 starts at 10 rad/s")
 def test_motors_have_limits():
     limited = wheels(
         command=spin_up, params=(0.3, 0.02), max_torque=(0.1, 0.02, 0.2, 0.1), max_speed=8.0
