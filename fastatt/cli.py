@@ -18,8 +18,9 @@ from fastatt import __version__
 from fastatt.checks import attitudes, choice
 from fastatt.codegen import modules
 from fastatt.gyro.attitudes import attitude_rows, check_ending, write_attitudes
-from fastatt.gyro.columns import TIME_UNITS, UNITS
+from fastatt.gyro.columns import ANGLES, TIME_UNITS, UNITS
 from fastatt.gyro.integrate import methods_for_samples
+from fastatt.gyro.log import VALUES
 from fastatt.gyro.read import read_gyro_log
 from fastatt.gyro.rows import ON_BAD_ROWS
 from fastatt.methods import METHODS
@@ -30,6 +31,7 @@ from fastatt.trade.run import run_trade
 # options of a log that read it
 _READING = (
     "columns", "unit", "rate", "time_column", "time_unit", "rows", "on_bad_rows", "max_gap",
+    "values",
 )  # fmt: skip
 # in a message: the word that it is about, one with a sign of equality, or one of two parts
 _ARGUMENT = re.compile(r"(^|(?<=: ))\w+(?=:| is )|\b\w+(?==)|\b\w+_\w+")
@@ -98,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command(_methods, "list the methods and where each fits", "methods")
     brief = "integrate a gyro log to attitudes, body to inertial"
-    _add_log(command(_integrate, brief, "integrate LOG.csv --unit rad/s --rate 100"))
+    _add_log(command(_integrate, brief, "integrate LOG.csv --unit rad/s --time-unit us"))
     brief = "measure every method's speed, error and drift"
     more = (
         "All fitting methods run on ensembles with a known answer, on quaternions and on matrices, "
@@ -135,8 +137,10 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     method = "a method for sampled rates (default: previous)"
     add("-m", "--method", default="previous", help=method)
     add("-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z")
-    add("-u", "--unit", choices=UNITS, help="unit of the rates")
+    add("-u", "--unit", choices=UNITS | ANGLES, help="unit of the rates, or increments")
     add("--time-unit", choices=TIME_UNITS, help="unit of the time stamps")
+    values = "what the numbers are, if no format says it (default: samples)"
+    add("--values", choices=VALUES, help=values)
     timing = command.add_mutually_exclusive_group()
     timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
     timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")

@@ -131,7 +131,9 @@ def test_help(command, capsys):
 
 def test_a_warning_is_a_line(log, capsys):
     """Of a log that turns too far between its samples: no source of ours, and each once."""
-    path, _, _ = log
+    path, _, rates = log
+    head = ",".join(f"gyro_{axis} [rad/s]" for axis in "xyz")
+    np.savetxt(path, rates, delimiter=",", header=head, comments="")
     assert main(["integrate", str(path), "-m", "hold", "-r", "1"]) == 0
     found = capsys.readouterr()
     (line,) = found.err.splitlines()

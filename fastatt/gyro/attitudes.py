@@ -15,7 +15,7 @@ from fastatt.gyro.log import GyroLog, GyroLogError
 
 _NAMES = ("t", "q0", "q1", "q2", "q3")
 _CHUNK = 1 << 17  # rows
-_UNIX = 1e8  # s (1973); larger time stamps are Unix time
+_UNIX = 1e8, 1e10  # s (1973 to 2286); time stamps between these are Unix time
 
 
 def attitude_rows(log: GyroLog, q0: ArrayLike, method: str) -> NDArray[np.float64]:
@@ -24,8 +24,8 @@ def attitude_rows(log: GyroLog, q0: ArrayLike, method: str) -> NDArray[np.float6
     Times are Unix time, s, if the log's stamps are, else s from the first sample.
     """
     rows = np.empty((len(log.t), 5))
-    rows[:, 0] = log.t + (log.start if log.start > _UNIX else 0.0)
-    rows[:, 1:] = integrate_rates(log.rates, log.dt, q0, method=method, max_gap=math.inf)
+    rows[:, 0] = log.t + (log.start if _UNIX[0] < log.start < _UNIX[1] else 0.0)
+    rows[:, 1:] = integrate_rates(log, None, q0, method=method, max_gap=math.inf)
     return rows
 
 

@@ -16,8 +16,10 @@ UNITS = {
     "deg/min": _DEGREE / 60.0, "deg/h": _DEGREE / 3600.0, "arcsec/s": _DEGREE / 3600.0,
     "rev/s": 2.0 * math.pi, "rpm": math.pi / 30.0, "Hz": 2.0 * math.pi,
 }  # fmt: skip
-# number of each in a second; Xsens counts tenths of a millisecond
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "100us": 1e4, "us": 1e6, "ns": 1e9}
+#: units of angle increments, in rad
+ANGLES = {name.removesuffix("/s"): scale for name, scale in UNITS.items() if name.endswith("/s")}
+# number of each in a second; Xsens counts tenths of a millisecond, Windows 100 ns
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "100us": 1e4, "us": 1e6, "100ns": 1e7, "ns": 1e9}
 # in m/s²; g by CGPM 1901
 ACCEL_UNITS = {
     "m/s²": 1.0, "cm/s²": 1e-2, "mm/s²": 1e-3, "g": 9.80665, "mg": 9.80665e-3, "-g": -9.80665,
@@ -25,7 +27,7 @@ ACCEL_UNITS = {
 
 
 class Format(NamedTuple):
-    """A format that defines the unit of its gyro, rad/s, and those of its time stamps.
+    """A format that defines the unit of its gyro, rad/s or rad, and those of its time stamps.
 
     Names of columns are regular expressions. ``file`` is that of the file, and ``known_by`` a
     column that such a file has, where the names of the gyro's columns do not tell.
@@ -36,11 +38,20 @@ class Format(NamedTuple):
     accel: str = "(?!)"
     file: str = ".*"
     known_by: str = ""
+    values: str = "samples"
+
+    @property
+    def unit(self) -> str:
+        """The unit of the gyro's numbers."""
+        return "rad" if self.values == "increments" else "rad/s"
 
 
 FORMATS = (
     # PX4, sensor_combined: uORB's time stamps are microseconds
-    Format(gyro=r"gyro_rad\[[012]\]", clocks={"timestamp": "us"}),
+    # and the rates are means over the interval before (its message definition)
+    Format(gyro=r"gyro_rad\[[012]\]", clocks={"timestamp": "us"}, values="means"),
+    # PX4, vehicle_imu
+    Format(gyro=r"delta_angle\[[012]\]", clocks={"timestamp": "us"}, values="increments"),
     # rostopic echo -p; sensor_msgs/Imu has rad/s and specific force (REP 103 and 145)
     Format(
         gyro=r"field\.angular_velocity\.[xyz]",
@@ -62,20 +73,38 @@ FORMATS = (
     ),
 )
 
-# names of three-axis sensors, without axis, blanks, dashes and underscores
+# words beside that of a sensor: devices, their places on a body, and what was done to samples
+_PLACES = (
+    r"left|right|[lrsb]|upper|lower|fore|front|rear|back|head|neck|trunk|torso|chest|sternum|waist"
+    r"|pelvis|hip|lumbar|sacrum|thigh|shank|shin|knee|ankle|foot|toe|heel|arm|wrist|hand|helmet"
+    r"|phone|watch|primary|main"
+)
+_BESIDE = (
+    rf"{_PLACES}|imu|sensors?|device|dev|data|adc|cal(ib(rated)?)?|(un)?filt(ered)?|lpf|smooth(ed)?"
+    r"|values?|meas(ured|urements?)?|scaled|sync(ed)?|input|rs|xyz|\d+"
+    r"|(mpu|icm|bm[ix]|bno|lsm|adis|itg|l3g|mti|xsens|vn|stim)\d*[a-z]{0,2}\d*"
+)
+_MOVING = "|motion|body|corr(ected)?|comp(ensated)?|ib"  # of rates alone: "body acceleration"
+_TURNS = (
+    r"gyr(o(s|scopes?)?)?(rotations?|rates?)?|omegas?|rates?(ofturn|gyro)?"
+    r"|(ang(ular)?|rot(ation(al)?)?|body|turn)(velocity|velocities|vel|rate|speed)s?"
+    r"|(gyro?)?(?P<is_increment>(delta|d)(ang(le)?s?|theta)|angles?|inc(rement)?s?)"
+)
+# names of three-axis sensors, without axis, blanks, dashes and underscores, by all that they say:
+# a word that is not here may mean another frame, a reference, a statistic or an error
 _SENSORS = {
-    "gyro": r".*gyr.*|omega|w|g|wrss|.*(ang(ular)?|rotation|body)(velocity|vel|rate|speed)s?|rates?"
-    r"|rateofturn",
-    # specific force: without what leaves out gravity, or is gravity
-    "accel": r"(?!.*(free|user|lin|grav|ang|gyr|world|earth|global|accur))(.*acc.*|a|arss)",
-    "mag": r"(?!.*(geo|magnitude|rotation|vector))(.*mag.*|m)",
+    "gyro": rf"({_BESIDE}{_MOVING})*({_TURNS})({_BESIDE}{_MOVING})*|wrss|w|g",
+    # specific force: "linear", "user" and "motion" leave out gravity
+    "accel": rf"({_BESIDE})*(acc|accels?|acc?eleration|(accelerometer)s?(acceleration)?"
+    rf"|specificforce)({_BESIDE})*|arss|a",
+    "mag": rf"({_BESIDE}|motion)*(magn?|magnetometer|mag(netic)?field|compass)({_BESIDE})*|m",
     "like accel": r"(?!.*(ang|gyr)).*acc.*|a",
     "like mag": r".*mag.*|m",
     "unnamed": "",
 }
 _WORDS = {"accel": "accelerometer", "mag": "magnetometer"}
-# columns of a sensor that are not its samples
-_NO_SAMPLES = re.compile(r"bias|cov|std|var|noise|temp|offset|err|sigma|integral|uncal|raw")
+# units of numbers that are no rates, whatever an argument says of them
+_NO_RATES = re.compile(r"lsbs?|counts?|raw|digits?|adc|bits?|ticks?|m?g|m/s.*|.*volts?|m?v")
 _IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
     r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|[cm]?m[ _/p]*s).*$",
@@ -95,7 +124,7 @@ _TIME = re.compile(
 _STAMP_SECONDS = re.compile(r"((?:.*[./])?stamp[./_])secs?", re.IGNORECASE)
 _RATE = re.compile(
     r"(?<![a-z])(?P<scale>milli|micro|[mkuµμ])?(?P<angle>deg(rees?|s)?|°|dps|rad(ians?|s)?|rp[ms]"
-    r"|(?<!\d)hz|arcsec(s|onds?)?|rev(s|olutions?)?)"
+    r"|(?<!\d)hz|arcsec(s|onds?)?|rev(s|olutions?)?|turns)"
     r"([ _]*(/|per|p)[ _]*(?P<per>[a-z]+)|[ _.*·]*(?P<time>s|sec|min|h|hr|hours?)(?![a-z]))?"
     r"(?P<power>\^?-?\d+|⁻?[¹²³])?(?![a-z])"
 )
@@ -109,7 +138,7 @@ _SPELLINGS = {
     "deg/s": "dps",
     "rad": "rad(ians?|s)",
     "arcsec": "arcsec(s|onds?)",
-    "rev": "rev(s|olutions?)",
+    "rev": "rev(s|olutions?)|turns",
     "Hz": "hz",
 }
 _METRES = re.compile(r"(?<![a-z])([cm]?)m[ _]*[/p.*·]?[ _]*s(ec)?[ _]*(\^?-?2|⁻?²|/s)(?![a-z\d])")
@@ -132,17 +161,22 @@ def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
     """Columns x, y, z of every sensor of a kind, such as "gyro"."""
     found: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
-        text = bare(name)[0]
-        match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
-        if match is None:
-            continue
-        stem = _UNIT_AT_END.sub("", re.split(r"[./]", match["stem"])[-1])
-        stem = re.sub(r"[ _\-]", "", stem).lower()
-        if re.fullmatch(_SENSORS[sensor], stem) and not _NO_SAMPLES.search(stem):
-            axis = match["axis"].strip("[]()").lower()
-            found.setdefault(match["stem"].lower(), []).append((axis, i))
+        stem, axis, whole = _stem(name)
+        if axis and re.fullmatch(_SENSORS[sensor], stem):
+            found.setdefault(whole, []).append((axis, i))
     sets = [sorted(axes) for axes in found.values()]
     return [[i for _, i in axes] for axes in sets if "".join(a for a, _ in axes) in ("xyz", "012")]
+
+
+def _stem(name: str) -> tuple[str, str, str]:
+    """The name of a sensor in that of a column; its axis, empty for none; and all before it."""
+    text = bare(name)[0]
+    match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
+    if match is None:
+        return "", "", ""
+    stem = _UNIT_AT_END.sub("", re.split(r"[./]", match["stem"])[-1])
+    axis = match["axis"].strip("[]()").lower()
+    return re.sub(r"[ _\-]", "", stem).lower(), axis, match["stem"].lower()
 
 
 def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | None:
@@ -247,18 +281,42 @@ def time_unit(name: str, known: Format | None) -> str | None:
     return _spelled(unit) or None
 
 
-def rate_unit(names: Sequence[str]) -> str | None:
-    """The unit, of ``UNITS``, in the names of a gyro's columns; None if there is none."""
-    found = {m[0]: _unit(m) for name in names for m in _RATE.finditer(name.lower())}
-    if not found:
-        found = {unit: "" for unit in (bare(name)[1] for name in names) if unit}
-    units = set(found.values())
-    if not units <= UNITS.keys() or len(units) > 1:
+def rate_unit(
+    names: Sequence[str], unit: str | None, values: str, known: Format | None
+) -> str | None:
+    """The unit of a gyro's numbers: as given, by a format, or in the names of columns; or None.
+
+    Raises ``GyroLogError`` if these differ, or are no rates, or no increments.
+    """
+    units = ANGLES if values == "increments" else UNITS
+    rates = {m[0]: _unit(m) for name in names for m in _RATE.finditer(name.lower())}
+    words = {u: u for u in (bare(name)[1] for name in names) if u}
+    said = {known.unit: known.unit} if known else rates or words
+    one = next(iter(said.values())) if len(set(said.values())) == 1 else None
+    # a word in brackets may be no unit, and revolutions and radians both begin with r
+    is_open = said and (one == "rps" or (not rates and not any(map(_is_no_rate, words))))
+    if said and one not in units and not (unit and is_open):
+        more = "" if one not in ANGLES else ' (values="increments" reads angle increments)'
         raise GyroLogError(
-            f"found the unit {', '.join(found)[:60]} in the names of columns; accepted: one for "
-            f"all of {', '.join(UNITS)}, or unit, to say which it is"
+            f"found the unit {', '.join(said)[:60]} in the names of columns; accepted: one for "
+            f"all of {', '.join(units)}{more}; if the names are wrong, rename them"
         )
-    return units.pop() if units else None
+    if unit is not None and unit not in units:
+        raise GyroLogError(f"unit: found {unit!r}; accepted: {', '.join(units)}, of {values}")
+    if unit and one in units and unit != one:
+        raise GyroLogError(f"unit: found {unit!r}; accepted: {one}, as the columns say, or none")
+    if values != "increments" and any(_is_increment(name) for name in names):
+        raise GyroLogError(f'{names[0][:60]} is an angle; accepted: values="increments"')
+    return unit or one
+
+
+def _is_no_rate(unit: str) -> bool:
+    return _NO_RATES.fullmatch(unit.lower()) is not None
+
+
+def _is_increment(name: str) -> bool:
+    match = re.fullmatch(_SENSORS["gyro"], _stem(name)[0])
+    return bool(match and match["is_increment"])
 
 
 def _unit(match: re.Match[str]) -> str:

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from fastatt import checks, rounding
 from fastatt.arrays import normalised
 from fastatt.gyro.engine import NO_TURN, Samples, integrate
-from fastatt.gyro.intervals import intervals
+from fastatt.gyro.intervals import intervals, tell_of_stamps
+from fastatt.gyro.log import GyroLog
 from fastatt.methods import METHODS, Method
 from fastatt.threads import number_of
 
@@ -22,8 +23,8 @@ _HUGE = 1e9
 
 
 def integrate_rates(
-    rates: ArrayLike,
-    dt: ArrayLike,
+    rates: ArrayLike | GyroLog,
+    dt: ArrayLike | None = None,
     q0: ArrayLike = _UNTURNED,
     *,
     method: str = "previous",
@@ -37,11 +38,13 @@ def integrate_rates(
 
     Parameters
     ----------
-    rates : array_like of shape (n, 3) or (N, n, 3)
-        Rates along body axes, rad/s, at n times; with ``increments``, angle increments, rad, over n
-        intervals.
+    rates : array_like of shape (n, 3) or (N, n, 3), or GyroLog
+        Rates along body axes, rad/s, at n times; with n intervals, mean rates over these; with
+        ``increments``, angle increments, rad. A log has its intervals and says what its numbers
+        are.
     dt : float or array_like
-        The interval, s, or the intervals: (n - 1,) for rates, (n,) for increments. All are above 0.
+        The interval, s, or the intervals: (n - 1,) for rates at n times, (n,) for mean rates and
+        for increments. All are above 0. None for a log.
     q0 : array_like of shape (4,) or (N, 4), default (1, 0, 0, 0)
         Attitude at the first time, body to inertial, scalar first.
     method : str, default "previous"
@@ -61,7 +64,8 @@ def integrate_rates(
     Returns
     -------
     ndarray of shape (n, 4) or (N, n, 4)
-        Attitudes at the times of the samples; for n increments (n + 1, 4) or (N, n + 1, 4).
+        Attitudes at the times of the samples; for n means or increments (n + 1, 4) or (N, n + 1,
+        4).
 
     Raises
     ------
@@ -74,7 +78,8 @@ def integrate_rates(
     Warns
     -----
     StepWarning
-        If the rotation angle over an interval exceeds the method's limit.
+        If the rotation angle over an interval exceeds the method's limit, or intervals only grow,
+        as time stamps do.
 
     See Also
     --------
@@ -97,15 +102,20 @@ def integrate_rates(
     >>> q.shape, q[-1].round(6).tolist()
     ((101, 4), [0.968912, 0.0, 0.0, 0.247404])
     """
+    values, dt = of_log(rates, dt, increments)
+    means = not increments and are_means(values, dt)
+    increments = increments or means
     record = method_of(method, increments)
-    name = "rates (increments)" if increments else "rates"
-    data = checks.array(name, rates, "(n, 3) or (N, n, 3)", flag=True)
+    name = "rates (increments)" if increments and not means else "rates"
+    data = checks.array(name, values, "(n, 3) or (N, n, 3)", flag=True)
     one = data.ndim == 2
-    precision = checks.precision(dtype, rates)
+    precision = checks.precision(dtype, values)
     data = np.ascontiguousarray(data if not one else data[None], dtype=precision)
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
     spans = intervals(dt, count, max_gap, precision)
+    tell_of_stamps(spans)
+    data = data * spans[:, None] if means else data
     threads = None if n_threads is None else number_of(n_threads)
     start = NO_TURN if q0 is _UNTURNED else unit_quaternions("q0", q0)
     if start.ndim == 2 and start.shape[0] != n_logs:
@@ -122,6 +132,26 @@ def integrate_rates(
         raise overflow(name, precision)
     warn_of_turns(seen, samples)
     return result
+
+
+def of_log(rates: Any, dt: Any, increments: bool) -> tuple[Any, Any]:
+    """Rates and intervals as given, or those of a log."""
+    if not isinstance(rates, GyroLog):
+        if dt is None:
+            raise TypeError("dt: found None; accepted: a number or intervals, s")
+        return rates, dt
+    if dt is not None or increments:
+        name, value = ("increments", increments) if dt is None else ("dt", dt)
+        raise TypeError(
+            f"{name}: found {checks.brief(value)} beside a log, which has its intervals and says "
+            "that its numbers are " + rates.values + "; accepted: the log alone, or its arrays"
+        )
+    return rates.rates, rates.dt
+
+
+def are_means(rates: Any, dt: Any) -> bool:
+    """Whether there is an interval for each of the rates, which are then means over them."""
+    return np.ndim(dt) == 1 and np.ndim(rates) > 1 and np.shape(rates)[-2] == len(np.asarray(dt))
 
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from fastatt import checks
+from fastatt import checks, rounding
 
 REGULAR, GAP = 2.5, 10.0
 #: intervals before one, whose median is the usual interval there
@@ -66,6 +66,15 @@ def largest_gap(max_gap: float | None) -> float:
     if max_gap is None:
         return math.inf
     return checks.above_zero("max_gap", max_gap, "a number above 0, or inf", finite=False)
+
+
+def tell_of_stamps(spans: Any) -> None:
+    """Warn of intervals that only grow, as time stamps do."""
+    if np.ndim(spans) and len(spans) > 3 and bool((np.diff(spans) > 0.0).all()):
+        rounding.warn(
+            f"dt: {len(spans)} intervals only grow, from {spans[0]:.6g} to {spans[-1]:.6g} s, as "
+            "time stamps do; accepted: intervals, such as np.diff(t)"
+        )
 
 
 def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dtype[Any]) -> Any:

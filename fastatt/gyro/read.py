@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
-from fastatt.gyro.columns import UNITS
+from fastatt.gyro.columns import ANGLES, UNITS
 from fastatt.gyro.intervals import REGULAR
-from fastatt.gyro.log import GyroLog, GyroLogError, GyroLogWarning
+from fastatt.gyro.log import VALUES, GyroLog, GyroLogError, GyroLogWarning
 from fastatt.gyro.rows import ON_BAD_ROWS, in_order
 from fastatt.gyro.tables import Table, in_memory, tabular
 from fastatt.gyro.text import from_text
 
+Floats = NDArray[np.float64]
 _WRAPS = 1 << 16
 _MANY = 0.01  # share of rows; leaving out more is warned of
 
@@ -35,6 +36,7 @@ def read_gyro_log(
     rows: tuple[str, object] | Sequence[tuple[str, object]] | None = None,
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
+    values: str | None = None,
 ) -> GyroLog:
     """Read a gyro log.
 
@@ -54,14 +56,14 @@ def read_gyro_log(
         The name of a file, "-" for standard input, an open file, a pandas or polars data frame, an
         xarray data set, or a mapping of names to arrays.
     time_unit : str, optional
-        "s", "ms", "100us", "us" or "ns", if neither the name of the column nor a format has the
-        unit. Dates (ISO 8601) and durations have none.
+        "s", "ms", "100us", "us", "100ns" or "ns", if neither the name of the column nor a format
+        has the unit. Dates (ISO 8601) and durations have none.
     columns : sequence of str or int, optional
         Names of the gyro's columns x, y and z, or their numbers from 1.
     unit : str, optional
         Unit of the rates: "rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "arcsec/s",
         "rev/s", "rpm" or "Hz" (revolutions per second), if neither the names of the columns nor a
-        format have the unit.
+        format have the unit. Of increments: "rad", "deg", "mrad", "mdeg", "arcsec" or "rev".
     rate : float, optional
         Sample rate, Hz, in place of time stamps. Where a column PacketCounter jumps, samples are
         missing.
@@ -78,6 +80,11 @@ def read_gyro_log(
         and those of a clock that was reset are always refused: pass ``rate`` in their place.
     max_gap : float, optional
         Longest interval that is not a gap, s; the default is 10 times the median interval.
+    values : {"samples", "means", "increments"}, optional
+        What the numbers are: rates at the times of their stamps, mean rates over the intervals that
+        end there, or angle increments over these. By default what a format defines, else samples.
+        Of means and increments the first is left out, since its interval begins before the first
+        stamp, unless the log has a sample rate in place of stamps.
 
     Returns
     -------
@@ -88,7 +95,8 @@ def read_gyro_log(
     ------
     GyroLogError
         If a unit is unknown, or is no angle per time, there is more than one gyro or time column,
-        rows are of several kinds, the stamps fit no gyro or a row is bad. It is a ``ValueError``,
+        rows are of several kinds, the stamps fit no gyro, a row is bad or an argument contradicts
+        the log. It is a ``ValueError``,
         whose message names what was found, its line, and the argument that helps.
     TypeError
         If an argument has the wrong type.
@@ -111,9 +119,10 @@ def read_gyro_log(
     ((2, 3), array([0.01]))
     """
     checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
-    for name, given, units in (("unit", unit, UNITS), ("time_unit", time_unit, names.TIME_UNITS)):
-        if given is not None:
-            checks.choice(name, given, units)
+    words = {"unit": (unit, UNITS | ANGLES), "values": (values, VALUES)}
+    for name, (word, accepted) in (words | {"time_unit": (time_unit, names.TIME_UNITS)}).items():
+        if word is not None:
+            checks.choice(name, word, accepted)
     if max_gap is not None:
         max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
     table = in_memory(source) if tabular(source) else from_text(source)
@@ -123,45 +132,92 @@ def read_gyro_log(
         defined = names.format_of(table.names, axes, table.name)
         others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
         clock = [] if rate is not None else _clock(table, time_column, defined)
-        unit = unit or ("rad/s" if defined else names.rate_unit(axes))
+        values = _values(axes, values, defined)
+        unit = names.rate_unit(axes, unit, values, defined)
         chosen = _chosen(table, rows)
     except GyroLogError as error:
         raise table.error(error) from None
     hertz = math.nan if clock else _rate(table, rate)
     counter = _counter(table, stamped=bool(clock))
     wanted = {"gyro": gyro, "counter": counter}
-    wanted |= {sensor: axes for sensor, (axes, *_) in others.items()}
-    values, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
+    wanted |= {sensor: columns_of for sensor, (columns_of, *_) in others.items()}
+    numbers, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
+    scales = ANGLES if values == "increments" else UNITS
     if unit is None:
-        raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(UNITS)}")
-    count, jumps = _counted(values.get("counter"), len(values["gyro"]))
+        raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(scales)}")
+    count, jumps = _counted(numbers.get("counter"), len(numbers["gyro"]))
     with np.errstate(over="ignore"):
-        rates = values["gyro"] * UNITS[unit]
+        rates = numbers["gyro"] * scales[unit]
         t, start = count / hertz, 0.0
     if raw is not None:
         t, start = stamps.times(table, clock, raw, time_unit, defined)
+    elif rate is not None:
+        _check_rate(table, time_column, time_unit, defined, hertz)
     clock_name = " and ".join(table.column(i) for i in clock or counter)
     timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
     times, kept, bad = in_order(table, clock_name, t, rates, on_bad_rows, max_gap, jumps)
     _check(table, len(kept), bad, len(t))
-    rates = rates[kept]
     dt = np.diff(times)
     if not (clock or bad):
         dt[:] = 1.0 / hertz
     mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
+    meant = "" if values == "samples" else f", {values} over the intervals before"
     said = [
-        f"{table.name}: {len(rates)} samples at {mean_rate:.6g} Hz ({timing})",
-        f"{', '.join(axes)} in {unit}",
+        f"{table.name}: {len(kept)} samples at {mean_rate:.6g} Hz ({timing})",
+        f"{', '.join(axes)} in {unit}{meant}",
         *(text for *_, text in others.values() if text),
         *bad,
     ]
+    start += float(t[kept[0]])
+    if values != "samples":
+        times, dt, kept = _over_intervals(times, dt, kept, 0.0 if clock or bad else 1.0 / hertz)
+    rates = rates[kept] / dt[:, None] if values == "increments" else rates[kept]
     measured = {
-        sensor: values[sensor][kept] * scale for sensor, (axes, scale, _) in others.items() if axes
+        sensor: numbers[sensor][kept] * scale
+        for sensor, (columns_of, scale, _) in others.items()
+        if columns_of
     }
     return GyroLog(
-        t=times, dt=dt, rate=mean_rate, start=start + float(t[kept[0]]), rates=rates,
-        summary="; ".join(said), **measured,
+        t=times, dt=dt, rate=mean_rate, start=start, rates=rates, summary="; ".join(said),
+        values=values, **measured,
     )  # fmt: skip
+
+
+def _values(axes: Sequence[str], values: str | None, defined: names.Format | None) -> str:
+    """What the numbers are: as given, or as a format defines, or else samples."""
+    if values and defined and values != defined.values:
+        raise GyroLogError(
+            f"values: found {values!r}; accepted: {defined.values!r}, which the format of "
+            f"{axes[0][:60]} defines, or none"
+        )
+    return values or (defined.values if defined else "samples")
+
+
+def _check_rate(
+    table: Table, time_column: Any, time_unit: str | None, defined: names.Format | None, rate: float
+) -> None:
+    """Refuse a rate that contradicts time stamps, if the table has a column of these."""
+    try:
+        clock = _clock(table, time_column, defined)
+        stamps_beside = table.stamps_in(clock)
+    except GyroLogError:  # none, or one of several: nothing contradicts the rate
+        return
+    if stamps_beside is not None:
+        is_whole = len(clock) > 1 or stamps.kind(table.first_row[clock[0]]) == "date"
+        named = "ns" if is_whole else names.time_unit(table.column(clock[0]), defined)
+        stamps.check_rate(table, clock, stamps_beside, (named, time_unit), rate)
+
+
+def _over_intervals(
+    times: Floats, dt: Floats, rows: NDArray[np.int64], step: float
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """The ends of intervals that end at times, the intervals, and the rows of their numbers.
+
+    ``step`` is the interval of the first row; where it is 0, which is unknown, the row is left out.
+    """
+    if not step:
+        return times, dt, rows[1:]
+    return np.append(0.0, times + step), np.append(step, dt), rows
 
 
 def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:

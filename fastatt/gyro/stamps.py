@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.gyro.columns import TIME_UNITS, Format, time_unit
+from fastatt.gyro.intervals import GAP
 from fastatt.gyro.log import GyroLogError
 
 if TYPE_CHECKING:
@@ -104,16 +105,57 @@ def times(
     if not good.any():
         raise table.error(f"{name} has no time stamp")
     if len(clock) > 1 or kind(table.first_row[clock[0]]) == "date":
+        if unit is not None:
+            parts = "parts in s and ns" if len(clock) > 1 else "dates"
+            raise table.error(f"time_unit: found {unit!r} for {name[:60]}, {parts}; accepted: none")
         unit = "ns"
-    unit = unit or _named_unit(table, name[:60], stamps[good], time_unit(name, known))
+    else:
+        unit = _unit_of(table, name, stamps[good], unit, time_unit(name, known))
     first = stamps[np.argmax(good)]
     with np.errstate(over="ignore", invalid="ignore"):
         t = np.where(good, (stamps - first) / TIME_UNITS[unit], np.nan)
     return t, float(first) / TIME_UNITS[unit]
 
 
-def _named_unit(table: Table, name: str, stamps: NDArray[Any], named: str | None) -> str:
-    """The unit that a column's name or its format says, unless the sample rate is not a gyro's."""
+def agrees(t: NDArray[np.float64], rate: float) -> bool:
+    """Whether times, s, are those of samples at a rate, Hz, or no times of samples at all.
+
+    These repeat, as those of packets do, or go back.
+    """
+    t = t[np.isfinite(t)]
+    steps = np.diff(t)
+    ahead = steps[steps > 0.0]
+    if not ahead.size or (steps < 0.0).any():
+        return True
+    usual = max(1.0 / rate, float(np.quantile(ahead, 0.95)))
+    few = (len(ahead) < 0.95 * len(steps)) * 0.04  # packets of unequal sizes, at the ends
+    return bool(abs(rate * np.mean(steps) - 1.0) < 0.01 + few and ahead.max() <= GAP * usual)
+
+
+def check_rate(
+    table: Table, clock: list[int], stamps: NDArray[Any], units: Sequence[str | None], rate: float
+) -> None:
+    """Refuse a rate, Hz, that differs from that of a log's stamps, in all of the units."""
+    good = valid(stamps)
+    if good.sum() < 2:
+        return
+    t = np.where(good, stamps - stamps[np.argmax(good)], np.nan).astype(np.float64)
+    known = [unit for unit in units if unit in TIME_UNITS]
+    scales = [TIME_UNITS[unit] for unit in known[:1]] or [*TIME_UNITS.values()]
+    if not any(agrees(t / scale, rate) for scale in scales):
+        mean = scales[0] * (good.sum() - 1) / np.nanmax(t)
+        found = f"{mean:.6g} Hz on average" if known else "another rate in every unit"
+        raise table.error(
+            f"rate: found {rate:g} Hz, but the stamps in {table.column(clock[0])[:60]} give "
+            f"{found}, or gaps; accepted: no rate, which reads the stamps"
+        )
+
+
+def _unit_of(
+    table: Table, name: str, stamps: NDArray[Any], given: str | None, named: str | None
+) -> str:
+    """The unit as given, or that of a column's name or format, which must be a gyro's."""
+    name = name[:60]
     with np.errstate(over="ignore", invalid="ignore"):
         gaps = np.diff((stamps - stamps[0]).astype(np.float64))
     gaps = gaps[np.isfinite(gaps) & (gaps > 0.0)]
@@ -121,7 +163,13 @@ def _named_unit(table: Table, name: str, stamps: NDArray[Any], named: str | None
     hertz = {u: scale / usual for u, scale in TIME_UNITS.items()}
     fitting = [u for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
     if named in fitting or (named in TIME_UNITS and not gaps.size):
-        return named
+        if given not in (None, named):
+            raise table.error(
+                f"time_unit: found {given!r}, but {name} is in {named}; accepted: {named}, or none"
+            )
+        return str(named)
+    if given is not None:
+        return given
     found = f"gives {hertz[named]:.4g} Hz" if named in TIME_UNITS else f"is in {named!r}"
     rates = " or ".join(f"{hertz[u]:.4g} Hz in {u}" for u in fitting) or "none fits"
     raise table.error(

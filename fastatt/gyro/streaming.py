@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -12,13 +12,16 @@ from fastatt import checks, rounding
 from fastatt.arrays import normalised
 from fastatt.gyro.engine import Samples, advance, beginning
 from fastatt.gyro.integrate import (
+    are_means,
     is_finite,
     method_of,
+    of_log,
     overflow,
     unit_quaternions,
     warn_of_turns,
 )
 from fastatt.gyro.intervals import GAP, RECENT, cuts, intervals, largest_gap, stretches
+from fastatt.gyro.log import GyroLog
 from fastatt.methods.windows import CHUNK
 from fastatt.threads import number_of
 
@@ -95,7 +98,7 @@ class GyroIntegrator:
             self._dt = intervals(checks.real("dt", dt), 0, max_gap, np.dtype("f8"))
         self._precision = None if dtype is None else checks.precision(dtype)
         self._threads = None if n_threads is None else number_of(n_threads)
-        self._closed = False
+        self._closed = self._means = False
         # those of the window before, and those that were not integrated; p and r before these
         self._kept: Samples | None = None
         self._q = self._recent = np.empty(0)
@@ -127,21 +130,22 @@ class GyroIntegrator:
             self._last = np.broadcast_to(unit, self._last.shape).astype(self._last.dtype)
             self._q = beginning(unit, len(self._last), self._last.dtype)
 
-    def push(self, rates: ArrayLike, dt: ArrayLike | None = None) -> Array:
+    def push(self, rates: ArrayLike | GyroLog, dt: ArrayLike | None = None) -> Array:
         """Add samples, and return the attitudes that they complete.
 
         Parameters
         ----------
-        rates : array_like of shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies
-            Rates, rad/s, or increments, rad.
+        rates : array_like of shape (3,) or (n, 3); (N, 3) or (N, n, 3) for N bodies; or GyroLog
+            Rates, rad/s, or increments, rad; or a log, with its intervals.
         dt : float or array_like of shape (n,), optional
             Intervals that end at the samples, s, or one number for all; for an integrator without
             ``dt``. No interval ends at the very first rate, so that the first push takes (n - 1,).
+            If it takes (n,), these rates and all later ones are means over their intervals.
 
         Returns
         -------
         ndarray of shape (m, 4) or (N, m, 4)
-            The next m attitudes; m is 0 if the method needs further samples.
+            The next m attitudes; m is 0 if there are no rows or the method needs further samples.
 
         Raises
         ------
@@ -158,15 +162,34 @@ class GyroIntegrator:
         with self._lock:
             self._check_open()
             n_logs = len(self._last)
+            is_log, values = isinstance(rates, GyroLog), cast("Any", rates)
+            if is_log:
+                values, dt = of_log(rates, dt, self._increments and not self._means)
             accepted = "(3,) or (n, 3)" if self._one else f"({n_logs}, 3) or ({n_logs}, n, 3)"
-            numbers = checks.array("rates", rates, accepted)
-            precision = self._precision or checks.precision(None, rates)
+            none = (n_logs, 0, 4)[self._one :]
+            if np.shape(values) in {(0,), (*none[:-1], 3)}:
+                return np.empty(none, self._precision or self._last.dtype)
+            numbers = checks.array("rates", values, accepted)
+            precision = self._precision or checks.precision(None, values)
             samples = numbers.astype(precision).reshape(n_logs, -1, 3)
             # the very first rate ends no interval
             extra = not (self._kept or self._increments)
+            is_mean = are_means(values, dt)
+            if is_log and self._kept and is_mean != self._means:
+                raise ValueError(
+                    "rates: found a log of other values than those before; accepted: means after "
+                    "means, samples after samples"
+                )
+            begins_means = bool(extra and is_mean)
+            extra = extra and not begins_means
             spans = self._intervals(dt, samples.shape[1] - extra, precision)
             before = self.__dict__.copy()
             try:
+                if begins_means:
+                    self._method = method_of(self._method.name, increments=True)
+                    self._increments = self._means = True
+                if self._means:
+                    samples = samples * spans[:, None]
                 attitudes = self._through_cuts(samples, spans, extra)
             except BaseException:
                 self.__dict__.update(before)

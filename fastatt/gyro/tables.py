@@ -40,6 +40,7 @@ class Table:
     row: str = "row"  # what a place is called
     rates: tuple[float, ...] = ()  # sample rates in lines before the numbers, Hz
     lengths: dict[int, int] = field(default_factory=dict)  # of lines of another length
+    keep: Any = ...  # which rows are read
 
     def read(
         self,
@@ -70,7 +71,8 @@ class Table:
             for name, group in wanted.items()
             if group
         }
-        hows = ["int" if len(clock) > 1 else stamps.kind(self.first_row[i]) for i in clock]
+        self.keep = keep
+        hows = self._formats(clock)
         times = [_numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
         bad = np.column_stack([np.isnan(values["gyro"]), *(~stamps.valid(x) for x in times)])
         if strict and bad.any():
@@ -78,6 +80,16 @@ class Table:
             i, how = [*wanted["gyro"], *clock][k], [*["float"] * 3, *hows][k]
             raise self.error(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
         return {name: x.astype(np.float64) for name, x in values.items()}, stamps.joined(times)
+
+    def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
+        """The time stamps of the rows that were read; None for no column."""
+        cells = zip(clock, self._formats(clock), strict=True)
+        return stamps.joined([_numbers(self.arrays[i][self.keep], how) for i, how in cells])
+
+    def _formats(self, clock: list[int]) -> list[stamps.Kind]:
+        if len(clock) > 1:
+            return ["int"] * len(clock)
+        return [stamps.kind(self.first_row[i]) for i in clock]
 
     def _wrong(self, place: int, i: int, how: str, cell: object) -> str:
         """What is wrong with a cell."""

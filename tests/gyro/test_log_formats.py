@@ -195,7 +195,10 @@ def test_formats(tmp_path, name):
     case = CASES[name]
     path, log = read_case(tmp_path, case, case.said)
     # W as written times a factor: two roundings
-    assert np.allclose(log.rates, W * case.scale, rtol=4.5e-16, atol=0.0)
+    # the first mean has an interval that begins before the first stamp
+    first = log.values != "samples"
+    assert log.values == ("means" if name == "PX4 sensor_combined" else "samples")
+    assert np.allclose(log.rates, W[first:] * case.scale, rtol=4.5e-16, atol=0.0)
     # stamps of 1.6e9 s and their differences are whole multiples of 0.25 s here, others small
     assert np.allclose(log.dt, case.dt, rtol=1e-14, atol=0.0)
     assert log.summary.startswith(f"{path}: 3 samples at ")
@@ -203,7 +206,7 @@ def test_formats(tmp_path, name):
     if case.accel is None:
         assert log.accel is None
     else:
-        assert np.allclose(log.accel, A * case.accel, rtol=6.7e-16, atol=0.0)
+        assert np.allclose(log.accel, A[first:] * case.accel, rtol=6.7e-16, atol=0.0)
         assert re.search("; accelerometer in (m/s²|g): ", log.summary)
 
 
@@ -245,9 +248,7 @@ def of_gyro(head, more=None):
         ("gyro_{}_deg", "deg"),
         ("gyro_{} [g]", "g"),
         ("gyro_{} [LSB]", "LSB"),
-        ("gyro_{} (rps)", "rps"),
         ("gyro_{} (rad/day)", "rad/day"),
-        ("gyro_{} (turns/s)", "turns/s"),
         ("gyro_{} (kHz)", "khz"),
     ],
 )
@@ -255,7 +256,79 @@ def test_a_unit_that_is_no_angle_per_time_is_refused(names, unit):
     head = [names.format(axis) for axis in "xyz"]
     with pytest.raises(fa.GyroLogError, match=rf"found the unit {re.escape(unit)} in the names of"):
         fa.read_gyro_log(of_gyro(head))
-    assert np.array_equal(fa.read_gyro_log(of_gyro(head), unit="rad/s").rates, W)
+    with pytest.raises(fa.GyroLogError, match=r"found the unit|is an angle"):
+        fa.read_gyro_log(of_gyro(head), unit="rad/s")
+
+
+def test_revolutions_or_radians_and_words_in_brackets_take_a_unit():
+    for names in ("gyro_{} (rps)", "gyro_{} (filtered)"):
+        head = [names.format(axis) for axis in "xyz"]
+        with pytest.raises(fa.GyroLogError, match="found the unit"):
+            fa.read_gyro_log(of_gyro(head))
+        assert np.array_equal(fa.read_gyro_log(of_gyro(head), unit="rad/s").rates, W)
+
+
+@each(
+    ("options", "message"),
+    [
+        ({"unit": "deg/s"}, "unit: found 'deg/s'; accepted: rad/s, as the columns say"),
+        ({"time_unit": "ms"}, "time_unit: found 'ms', but t .s. is in s"),
+        ({"rate": 50.0}, "rate: found 50 Hz, but the stamps in t .s. give 100 Hz on average"),
+        ({"values": "increments"}, "found the unit rad/s in the names of columns; accepted: one"),
+        ({"unit": "rad"}, "unit: found 'rad'; accepted: rad/s, .*, of samples"),
+    ],
+)
+def test_an_argument_that_contradicts_the_names_is_refused(options, message):
+    with pytest.raises(fa.GyroLogError, match=message):
+        fa.read_gyro_log(of_gyro(GYRO), **options)
+
+
+def test_an_argument_that_agrees_with_the_names_changes_nothing():
+    plain = fa.read_gyro_log(of_gyro(GYRO))
+    options = {"unit": "rad/s", "time_unit": "s", "rate": 100.0, "values": "samples"}
+    for name, value in options.items():
+        log = fa.read_gyro_log(of_gyro(GYRO), **{name: value})
+        assert np.array_equal(log.rates, plain.rates)
+        assert np.allclose(log.t, plain.t, rtol=1e-15)
+
+
+def test_a_rate_does_not_hide_a_gap():
+    t = 0.005 * np.r_[0:800, 1400:20000]
+    columns = {"t (s)": t, **dict.fromkeys(GYRO, np.ones(len(t)))}
+    with pytest.raises(fa.GyroLogError, match="rate: found 200 Hz, but the stamps"):
+        fa.read_gyro_log(columns, rate=200.0)
+    stamped = {**columns, "t (s)": np.floor(np.arange(len(t)) / 4) * 0.02}  # packets of four
+    assert len(fa.read_gyro_log(stamped, rate=200.0).t) == len(t)
+
+
+@each(
+    "names",
+    [
+        "gyro_world_{}", "gyro_nav_{}", "gyro_earth_{}", "gyro_drift_{}", "gyro_residual_{}",
+        "gyro_target_{}", "gyro_rms_{}", "gyro_ned_{}", "gyro_setpoint_{}", "gyro_mean_{}",
+        "gyro_dot_{}", "inertial_gyro_{}", "omega_ref_{}", "angular_velocity_error_{}",
+        "desired_body_rate_{}", "gyro_bias_{}", "gyro_scale_{}",
+    ],
+)  # fmt: skip
+def test_what_is_no_body_rate_is_no_gyro(names):
+    """By the words that a name may have, so that any other word makes it unknown."""
+    head = [names.format(axis) + " (rad/s)" for axis in "xyz"]
+    with pytest.raises(fa.GyroLogError, match="found no three columns named like gyro x, y, z"):
+        fa.read_gyro_log(of_gyro(head))
+    assert np.array_equal(fa.read_gyro_log(of_gyro(head), columns=head).rates, W)
+
+
+@each(
+    "names",
+    [
+        "imu0_gyro_{}", "GyroCal_{}", "mpu6050_gyro_{}", "left_thigh_gyr_{}", "gyroFilt_{}",
+        "bodyRate{}", "motionRotationRate{}", "gyroRotation{}", "omega_{}", "/imu/gyro/{}",
+        "Angular Velocity {}", "turn_rate_{}",
+    ],
+)  # fmt: skip
+def test_names_of_body_rates(names):
+    head = [names.format(axis) + " (rad/s)" for axis in "XYZ"]
+    assert np.array_equal(fa.read_gyro_log(of_gyro(head)).rates, W)
 
 
 @each("names", ["Gyr_{}", "gyroADC[{}]", "gyro_rad_{}", "angular_velocity_{}"])
@@ -309,6 +382,9 @@ def test_an_accelerometer_is_specific_force_in_si(names, scale):
         ("linear_acceleration_{} [m/s^2]", "of another quantity"),
         ("Acc_{}", "without a unit"),
         ("acc_{} [m/s]", "without a unit"),
+        ("dynamic_acc_{} [m/s^2]", "of another quantity"),
+        ("motion_acc_{} [m/s^2]", "of another quantity"),
+        ("acc_world_{} [m/s^2]", "of another quantity"),
     ],
 )
 def test_what_is_no_specific_force_and_no_magnetic_field_is_left_out(names, why):
