@@ -36,8 +36,8 @@ class Operation(NamedTuple):
     llvm: str = ""
     #: in Python, if it is no call by its name
     text: str = ""
-    #: further names in ``math`` and NumPy
-    names: str = ""
+    #: further functions of ``math`` and NumPy that it is
+    others: tuple[Function, ...] = ()
     #: derivatives by its numbers, from these and the result; None where they are 0
     slope: Function | None = None
     #: the smallest and the largest result, or ``AT_ENDS``
@@ -142,14 +142,14 @@ _applied = functools.partial(functools.partial, graph.apply)
 
 OPERATIONS: dict[str, Operation] = {
     # operators
-    "+": Operation(np.add, operator.add, 2, "fadd", "{0} + {1}", "add", _SUM),
-    "-": Operation(np.subtract, operator.sub, 2, "fsub", "{0} - {1}", "subtract", _DIFFERENCE),
-    "*": Operation(np.multiply, operator.mul, 2, "fmul", "{0} * {1}", "multiply", _PRODUCT),
-    "/": Operation(np.divide, operator.truediv, 2, "fdiv", "{0} / {1}", "divide", _QUOTIENT),
-    "//": Operation(np.floor_divide, operator.floordiv, 2, names="floor_divide", cost=20),
-    "%": Operation(np.mod, operator.mod, 2, names="mod", cost=20),
+    "+": Operation(np.add, operator.add, 2, "fadd", "{0} + {1}", slope=_SUM),
+    "-": Operation(np.subtract, operator.sub, 2, "fsub", "{0} - {1}", slope=_DIFFERENCE),
+    "*": Operation(np.multiply, operator.mul, 2, "fmul", "{0} * {1}", slope=_PRODUCT),
+    "/": Operation(np.divide, operator.truediv, 2, "fdiv", "{0} / {1}", slope=_QUOTIENT),
+    "//": Operation(np.floor_divide, operator.floordiv, 2, cost=20),
+    "%": Operation(np.mod, operator.mod, 2, cost=20),
     "pow": Operation(np.power, operator.pow, 2),
-    "neg": Operation(np.negative, operator.neg, 1, "fneg", "-{0}", "negative"),
+    "neg": Operation(np.negative, operator.neg, 1, "fneg", "-{0}"),
     # comparisons with NaN are false, except "not equal"
     "<": Operation(np.less, operator.lt, 2, "fcmp olt", "{0} < {1}"),
     "<=": Operation(np.less_equal, operator.le, 2, "fcmp ole", "{0} <= {1}"),
@@ -169,12 +169,12 @@ OPERATIONS: dict[str, Operation] = {
     "power_of_two": Operation(None),
     "exponent": Operation(None),
     # functions of one number
-    "abs": Operation(np.abs, abs, 1, "llvm.fabs", "", "absolute fabs", _ABS),
+    "abs": Operation(np.abs, abs, 1, "llvm.fabs", "", (math.fabs, np.fabs), _ABS),
     "sqrt": Operation(np.sqrt, _applied("sqrt"), 1, "llvm.sqrt", slope=lambda x, f: 0.5 / f),
-    "rint": Operation(np.rint, _applied("rint"), 1, "llvm.rint", names="round around"),
+    "rint": Operation(np.rint, _applied("rint"), 1, "llvm.rint", others=(np.round, np.around)),
     "floor": Operation(np.floor, _applied("floor"), 1, "llvm.floor"),
     "ceil": Operation(np.ceil, _ceil),
-    "trunc": Operation(np.trunc, _trunc, names="fix"),
+    "trunc": Operation(np.trunc, _trunc, others=(np.fix,)),
     "sign": Operation(np.sign, _sign),
     "exp": Operation(np.exp, _applied("exp"), 1, "@exp", slope=lambda x, f: f, cost=20),
     "log": Operation(np.log, _applied("log"), 1, "@log", slope=lambda x, f: 1.0 / x, cost=20),
@@ -190,17 +190,17 @@ OPERATIONS: dict[str, Operation] = {
         bounds=UNBOUNDED, cost=45,
     ),
     "asin": Operation(
-        np.arcsin, lambda x: _kernel("atan2")(x, _other_side(x)), 1, "@asin", "", "arcsin",
-        lambda x, f: 1.0 / _other_side(x), (-2.0, 2.0), 45,
+        np.arcsin, lambda x: _kernel("atan2")(x, _other_side(x)), 1, "@asin", "",
+        (), lambda x, f: 1.0 / _other_side(x), (-2.0, 2.0), 45,
     ),
     "acos": Operation(
-        np.arccos, lambda x: _kernel("atan2")(_other_side(x), x), 1, "@acos", "", "arccos",
-        lambda x, f: -1.0 / _other_side(x), (0.0, math.pi), 45,
+        np.arccos, lambda x: _kernel("atan2")(_other_side(x), x), 1, "@acos", "",
+        (), lambda x, f: -1.0 / _other_side(x), (0.0, math.pi), 45,
     ),
-    "atan": Operation(np.arctan, lambda x: _kernel("atan2")(x, 1.0), names="arctan", cost=45),
+    "atan": Operation(np.arctan, lambda x: _kernel("atan2")(x, 1.0), cost=45),
     # functions of two numbers
     "atan2": Operation(
-        np.arctan2, lambda y, x: _kernel("atan2")(y, x), 2, "", "", "arctan2",
+        np.arctan2, lambda y, x: _kernel("atan2")(y, x), 2,
         bounds=(-math.pi, math.pi), cost=45,
     ),
     "hypot": Operation(np.hypot, lambda x, y: graph.apply("sqrt", x * x + y * y), 2),
@@ -216,5 +216,8 @@ OPERATIONS: dict[str, Operation] = {
 }  # fmt: skip
 #: operations that the C library computes
 LIBRARY = tuple(op for op, x in OPERATIONS.items() if x.llvm.startswith("@"))
-#: operations by other names in ``math`` and NumPy
-NAMED = {name: op for op, x in OPERATIONS.items() for name in x.names.split()}
+#: what functions of ``math`` and NumPy are; a name alone has two meanings (``remainder``)
+FUNCTIONS: dict[Any, str] = {
+    function: op for op, x in OPERATIONS.items()
+    for function in (getattr(math, op, None), x.array, *x.others) if callable(function)
+}  # fmt: skip

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fastatt.tracing import frozen
-from fastatt.tracing.nodes import Recorded, TraceError
-from fastatt.tracing.operations import NAMED, OPERATIONS
+from fastatt.tracing.nodes import COMPARISONS, Recorded, TraceError
+from fastatt.tracing.operations import FUNCTIONS, OPERATIONS
 from fastatt.tracing.unknown import Unknown, is_whole, whole
 
 #: NumPy's functions that multiply, add, ask, or move elements
@@ -122,7 +122,7 @@ _OF_NUMPY: dict[str, Callable[..., Any]] = _BOTH | {
     "where": lambda test, x, y: each(lambda c, a, b: a if c else b, test, x, y),
     "max": _reduced("maximum"), "min": _reduced("minimum"), "power": _BOTH["pow"],
     "square": lambda x: each(lambda y: y * y, x), "reciprocal": lambda x: 1.0 / x,
-    "float64": lambda x: x, "remainder": lambda x, y: each(operator.mod, x, y),
+    "float64": lambda x: x,
     "deg2rad": _BOTH["radians"], "rad2deg": _BOTH["degrees"],
 }  # fmt: skip
 _OF_MATH: dict[str, Callable[..., Any]] = _BOTH | {
@@ -151,8 +151,8 @@ class Library:
         if like is None:
             return _known(value, args, named)
         full = f"{self._module.__name__}.{name} of numbers that are not known beforehand"
-        op = NAMED.get(name, name)
-        of = None if named else OPERATIONS.get(op)
+        op = FUNCTIONS.get(value, "")
+        of = None if named or op in COMPARISONS else OPERATIONS.get(op)
         if isinstance(like, Recorded):
             if of is None or of.traced is None:
                 raise TraceError(full)

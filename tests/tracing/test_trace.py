@@ -15,6 +15,8 @@ from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, flattened
 from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.operations import FUNCTIONS as KNOWN
+from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.trace import traceable
 
 GAIN = 2.5
@@ -101,6 +103,44 @@ def test_a_graph_gives_what_python_gives(function):
             expected = np.array(flattened(function(x, y)), float)
             # sums of a few products, each within an ulp of the largest
             np.testing.assert_allclose(run(x, y), expected, rtol=4e-15, atol=4e-15)
+
+
+#: functions of numbers of ``math`` and NumPy: those that are operations, and those that both have
+LIBRARY = sorted(
+    (module.__name__, name)
+    for module in (math, np)
+    for name in dir(module)
+    if callable(value := getattr(module, name)) and not isinstance(value, type)
+    and (value in KNOWN or (hasattr(math, name) and hasattr(np, name)))
+)  # fmt: skip
+NO_NUMBER = {"gcd", "lcm", "ldexp", "frexp", "modf", "prod", "sumprod", "nextafter", "logical_not"}
+NO_NUMBER |= {"less", "greater", "equal"}
+IN_BOTH = [[0.3, 0.7], [-0.5, 0.2], [0.8, -0.3], [-0.9, -0.4], [0.1, 0.6], [0.5, 0.5]]
+
+
+@each("library", [x for x in LIBRARY if x[1] not in NO_NUMBER and "_equal" not in x[1]])
+def test_a_function_of_a_library_is_its_own(library):
+    """Of a name that both have, such as ``remainder``, each has its own meaning."""
+    module = {"math": math, "numpy": np}[library[0]]
+    value = getattr(module, library[1])
+    op = OPERATIONS.get(KNOWN.get(value, ""))
+    count = op.arity if op else 1
+
+    scope = {"math": math, "np": np}
+    text = f"{'np' if module is np else 'math'}.{library[1]}({', '.join('xy'[:count])})"
+    written = eval(f"lambda x, y: {text}", scope)
+    try:
+        run = by_trace(written)
+    except TraceError:
+        assert op is None or op.traced is None or library[1] in ("power", "pow")
+        return
+    for x, y in IN_BOTH:
+        with np.errstate(all="ignore"):
+            try:
+                expected = float(value(*(x, y)[:count]))
+            except ValueError:  # where Python raises
+                expected = math.nan
+        assert float(run(x, y)[0]) == pytest.approx(expected, rel=4e-15, nan_ok=True), (x, y)
 
 
 def test_a_choice_is_one_selection():
