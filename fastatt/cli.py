@@ -143,7 +143,8 @@ def _add_log(command: argparse.ArgumentParser) -> None:
     add("--values", choices=VALUES, help=values)
     timing = command.add_mutually_exclusive_group()
     timing.add_argument("-r", "--rate", type=float, help="sample rate, Hz")
-    timing.add_argument("-t", "--time-column", help="name or number of the time stamps' column")
+    column = "name or number of the time stamps' column, or two: of seconds and nanoseconds"
+    timing.add_argument("-t", "--time-column", type=_names, help=column)
     rows = "read only rows with this text in a column (may be repeated): name=IMU"
     add("--rows", type=_pair, action="append", metavar="COLUMN=TEXT", help=rows)
     q0 = "first attitude: q0,q1,q2,q3 (default: 1,0,0,0)"

@@ -168,6 +168,13 @@ def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
     return [[i for _, i in axes] for axes in sets if "".join(a for a, _ in axes) in ("xyz", "012")]
 
 
+def repeated(names: Sequence[str]) -> list[int]:
+    """The columns of gyros, and of times, by names that occur twice."""
+    twice = [i for i, name in enumerate(names) if names.count(name) > 1]
+    of_gyros = [re.fullmatch(_SENSORS["gyro"], _stem(names[i])[0]) for i in twice]
+    return [i for i, fits in zip(twice, of_gyros, strict=True) if fits or _time(names[i])]
+
+
 def _stem(name: str) -> tuple[str, str, str]:
     """The name of a sensor in that of a column; its axis, empty for none; and all before it."""
     text = bare(name)[0]

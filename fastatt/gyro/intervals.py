@@ -61,6 +61,12 @@ def stretches(places: Iterable[int], count: int) -> list[tuple[int, int]]:
     return list(pairwise(sorted({0, count, *places, *(k + 1 for k in places)})))
 
 
+def apart(a: float, b: float) -> tuple[str, str]:
+    """Two different numbers with so many digits that they differ as text."""
+    digits = next(n for n in (6, 9, 12, 17) if f"{a:.{n}g}" != f"{b:.{n}g}" or n == 17)
+    return f"{a:.{digits}g}", f"{b:.{digits}g}"
+
+
 def largest_gap(max_gap: float | None) -> float:
     """The longest interval that is accepted, s; None accepts any."""
     if max_gap is None:
@@ -87,7 +93,8 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
     if spans.ndim == 0:
         interval = checks.above_zero("dt", spans, "an interval above 0")
         if interval > longest:
-            raise ValueError(f"dt: found {interval}; accepted: at most {longest:.6g} s, max_gap")
+            found, most = apart(interval, longest)
+            raise ValueError(f"dt: found {found}; accepted: at most {most} s, max_gap")
         return precision.type(interval)
     if not count:
         return spans.astype(precision)
@@ -101,8 +108,9 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
             longest = GAP * float(np.median(spans))
     if spans.max() > longest:
         k = int(np.argmax(spans))
+        length, most = apart(float(spans[k]), longest)
         raise ValueError(
-            f"dt[{k}] is {spans[k]}: a gap; accepted: at most {longest:.6g} s; cut the log there, "
+            f"dt[{k}] is {length}: a gap; accepted: at most {most} s; cut the log there, "
             "or pass max_gap to go across it"
         )
     return np.ascontiguousarray(spans, dtype=precision)

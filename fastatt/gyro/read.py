@@ -32,7 +32,7 @@ def read_gyro_log(
     columns: Sequence[str] | None = None,
     unit: str | None = None,
     rate: float | None = None,
-    time_column: str | None = None,
+    time_column: str | Sequence[str] | None = None,
     rows: tuple[str, object] | Sequence[tuple[str, object]] | None = None,
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
@@ -67,8 +67,8 @@ def read_gyro_log(
     rate : float, optional
         Sample rate, Hz, in place of time stamps. Where a column PacketCounter jumps, samples are
         missing.
-    time_column : str or int, optional
-        Name or number of the column of time stamps.
+    time_column : str or int, or two of them, optional
+        Name or number of the column of time stamps; or of those of its seconds and nanoseconds.
     rows : (str, str), or sequence of these, optional
         A column and the text that a row has there, such as ``("name", "IMU")``, to read only such
         rows of a table with several kinds of rows or several sensors. By default such a table is
@@ -224,6 +224,7 @@ def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
     """The gyro's columns, as given or recognised by their names."""
     if columns is not None:
         return table.chosen(columns, 3, "columns")
+    table.refuse_twice(names.repeated(table.names))
     gyro = names.gyro(table.names, table.name)
     if gyro is None:
         raise GyroLogError(
@@ -233,10 +234,13 @@ def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
     return gyro
 
 
-def _clock(table: Table, time_column: str | None, defined: names.Format | None) -> list[int]:
+def _clock(table: Table, time_column: Any, defined: names.Format | None) -> list[int]:
     """The columns of the time stamps; none if the file states its sample rate."""
     if time_column is not None:
-        clock = [table.index(time_column, "time column")]
+        # a name or number, or two: of seconds and of nanoseconds
+        pair = isinstance(time_column, (list, tuple)) and len(time_column) > 1
+        parts = time_column if isinstance(time_column, (list, tuple)) else [time_column]
+        clock = table.chosen(parts, 1 + pair, "time column")
     else:
         clock = names.clock(table.names, defined)
     if clock and table.rates and not table.first_row[clock[0]]:
@@ -253,7 +257,8 @@ def _chosen(table: Table, rows: Any) -> list[tuple[int, str]] | None:
     """Columns by index, and the text that rows have there."""
     if rows is None:
         return None
-    pairs = [rows] if isinstance(rows, tuple) and rows[:1] and isinstance(rows[0], str) else rows
+    single = isinstance(rows, tuple) and rows and isinstance(rows[0], (str, int))
+    pairs = [rows] if single else rows
     try:
         texts = [(column, str(text)) for column, text in pairs]
     except (TypeError, ValueError):

@@ -2,7 +2,8 @@
 
 Where a stamp does not increase, a few rows before or after it are outliers. If more are, the clock
 was reset, after an unknown time. Many equal stamps are those of packets, or too coarse for the
-rate: they are no times of samples. Both are refused.
+rate: they are no times of samples, nor are those of rows that arrive in bursts. All these are
+refused. Samples that a logger lost are counted by the intervals.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.gyro.intervals import GAP
+from fastatt.gyro.intervals import GAP, apart
+from fastatt.gyro.log import GyroLogWarning
 from fastatt.gyro.tables import Table
+from fastatt.rounding import warn
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 ON_BAD_ROWS = ("refuse", "drop")
 _MOST = 8  # successive outliers; more are of another clock
 _SHOWN = 3  # rows of each kind that the summary lists
+_MISSING = 0.01  # share of samples; more that are missing are warned of
 _SHARED = 0.05  # share of rows (at least 3) with a repeated stamp, beyond which stamps are shared
 
 
@@ -59,17 +63,60 @@ def in_order(
             f"{clock[:60]} in {table.place(resets[0])} is decreasing, and the clock goes on "
             "from there; accepted: a log of one clock, or rate= in place of time stamps"
         )
+    _refuse_bursts(table, clock, steps[1:])
     gaps = (steps > longest) | (_since_before(np.cumsum(jumps)[rows]) > 0)
     kinds = {"rows dropped": np.delete(np.arange(len(t)), rows), "gaps": rows[gaps]}
     since = np.append(0.0, s)[np.searchsorted(rows, np.arange(len(t)))]  # of the sample before
     said = [_said(table, kind, bad, since) for kind, bad in kinds.items() if bad.size]
-    if on_bad_rows == "refuse" and said:
+    if on_bad_rows == "refuse" and any(bad.size for bad in kinds.values()):
         k, kind = min((int(bad[0]), kind) for kind, bad in kinds.items() if bad.size)
         what = ", or a number beside it, overflows; accepted: finite numbers"
         if usable[k]:
             what = _what(kind, t[: k + 1], longest)
         raise table.error(f"{clock[:60]} in {table.place(k)}{what}")
-    return s, rows, said
+    return s, rows, _lost(table, s, rows) + said
+
+
+def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
+    """Refuse stamps of which several follow each other closely, again and again."""
+    if not len(steps):
+        return
+    usual, mean = float(np.quantile(steps, 0.25)), float(np.mean(steps))
+    pauses = steps[steps > 3.0 * usual]
+    if len(pauses) > max(_MOST, _SHARED * len(steps)) and mean > 2.0 * usual:
+        short, long = apart(usual, float(np.median(pauses)))
+        raise table.error(
+            f"{clock[:60]}: {len(pauses)} intervals of about {long} s among others of {short} s: "
+            "stamps of arrival, of packets; accepted: the stamps of samples, or rate= in their "
+            f"place ({1.0 / mean:.6g} Hz on average)"
+        )
+
+
+def _lost(table: Table, s: Floats, rows: NDArray[np.int64]) -> list[str]:
+    """What is said of samples that are missing between successive rows; warns of many in holes.
+
+    Of gaps, which are accepted by an argument, is not warned.
+    """
+    steps, usual = np.diff(s), _usual(s)
+    holes = np.flatnonzero((steps > 1.5 * usual) & (np.diff(rows) == 1))
+    missing = np.round(steps[holes] / usual) - 1.0
+    # late stamps are followed by short intervals; coarse ones stay beside even times
+    count = min(missing.sum(), np.round(s[-1] / usual) - len(steps)) if holes.size else 0.0
+    even = np.linspace(s[0], s[-1], len(s))
+    if count < 1.0 or (len(holes) > 0.1 * len(s) and np.abs(s - even).max() < 2.0 * usual):
+        return []
+    k = holes[np.argmax(steps[holes])]
+    text = (
+        f"{count:.0f} {'samples' if count > 1 else 'sample'} missing, the longest interval "
+        f"{steps[k]:.6g} s, before {table.place(rows[k + 1])}"
+    )
+    if missing[steps[holes] <= GAP * usual].sum() >= _MISSING * (count + len(s)):
+        warn(
+            f"{table.name}: {text}; the attitudes after them rest on rates between "
+            "the others: correct them with a reference, or record again",
+            GyroLogWarning,
+        )
+    return [text]
 
 
 def _since_before(x: NDArray[Any]) -> NDArray[Any]:
@@ -132,7 +179,8 @@ def _what(kind: str, t: Floats, longest: float) -> str:
             f" is an outlier, {step:.6g} s after the row before; accepted: increasing time stamps, "
             f"rate= in their place, or {accepted}"
         )
-    most = f"at most {longest:.6g} s, or more with max_gap="
+    length, bound = apart(step, longest)
+    most = f"at most {bound} s, or more with max_gap="
     if step <= longest:
         most = "a packet counter without jumps"
-    return f": a gap of {step:.6g} s; accepted: {most}; {accepted} accepts any gap"
+    return f": a gap of {length} s; accepted: {most}; {accepted} accepts any gap"

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
-from fastatt.gyro.log import GyroLogError
+from fastatt.gyro.log import GyroLogError, GyroLogWarning
+from fastatt.rounding import warn
 
 Cells = NDArray[Any]
 # columns that tell kinds of rows, or sensors, apart
@@ -22,9 +23,17 @@ _TELLS = re.compile(
     r"|sensor|device|message|msg|topic|source|instance|imu|i)",
     re.IGNORECASE,
 )
-_WORD = re.compile(r"(?!(nan|inf|nat|none|null|true|false)$)[^\W\d].*", re.IGNORECASE)
+# those of devices, which do so if they change often
+_DEVICE = re.compile(
+    r"(.*[./ _\-]|[a-z]*(?=I[dD]))?(id|addr(ess)?|mac|serial|node|ch(annel|an)?|board|port|bus|body"
+    r"|unit|side|leg|index|idx|dev(ice)?|sensor|imu|module|source|src|topic|tag|num(ber)?|no|nr)"
+    r"([ _.\-]?(id|no|nr|num(ber)?|name|address|idx|index))?\d*",
+    re.IGNORECASE,
+)
+_TIME_OF_DAY = re.compile(r"\d\d?:\d\d(:\d\d([.,]\d+)?)?|\d{1,4}([-/.])\d{1,2}\3\d{1,4}.*")
 _KINDS = 64  # that one column tells apart at most
-_OFTEN = 0.05  # share of rows at which another text that changes more often tells rows apart
+_FEW = 8  # of numbers without a name that says so
+_OFTEN = 0.05  # share of rows at which values that change more often tell rows apart
 _MEANT = {"float": "a finite number", "int": "a whole number", "date": "a date"}
 
 
@@ -63,23 +72,26 @@ class Table:
         if not self.places.size:
             row = f"rows: found no row with {chosen[0][1]!r}" if chosen else "found no sample"
             raise self.error(f"{row}; accepted: one at least")
+        self.keep = keep
+        hows = self._formats(clock)
+        times = [_numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
+        if len(times) > 1:
+            times[1] = np.where((times[1] < 0) | (times[1] >= 10**9), stamps.NO_STAMP, times[1])
+        stamps_of_rows = stamps.joined(times)
         if chosen != []:
             used = {i for group in wanted.values() for i in group} | {*clock, *dict(chosen or ())}
-            self._refuse_kinds(used, keep)
+            self._refuse_kinds(used, keep, stamps_of_rows)
         values = {
             name: np.column_stack([_numbers(self.arrays[i][keep], "float") for i in group])
             for name, group in wanted.items()
             if group
         }
-        self.keep = keep
-        hows = self._formats(clock)
-        times = [_numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
         bad = np.column_stack([np.isnan(values["gyro"]), *(~stamps.valid(x) for x in times)])
         if strict and bad.any():
             row, k = np.argwhere(bad)[0]
             i, how = [*wanted["gyro"], *clock][k], [*["float"] * 3, *hows][k]
             raise self.error(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
-        return {name: x.astype(np.float64) for name, x in values.items()}, stamps.joined(times)
+        return {name: x.astype(np.float64) for name, x in values.items()}, stamps_of_rows
 
     def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
         """The time stamps of the rows that were read; None for no column."""
@@ -103,27 +115,52 @@ class Table:
             f'{_MEANT[how]}, or on_bad_rows="drop"'
         )
 
-    def _refuse_kinds(self, used: set[int], keep: NDArray[np.bool_]) -> None:
+    def _refuse_kinds(
+        self, used: set[int], keep: NDArray[np.bool_], s: NDArray[Any] | None
+    ) -> None:
         """Refuse rows of several kinds or sensors, with the column that tells them apart.
 
-        It is known by its name, or has text that is no time.
+        It is known by its name, has text that is no time, or its values have a clock each, ``s``
+        being the time stamps of all rows. Of another column of few values that change often is
+        warned.
         """
-        for i in range(len(self.arrays)):
-            name = self.column(i)
-            tells = _TELLS.fullmatch(names.bare(name)[0]) is not None
-            if i in used or not (tells or _WORD.fullmatch(self.first_row[i])):
+        for i in set(range(len(self.arrays))) - used - self._axes():
+            name = names.bare(self.column(i))[0]
+            cells = self.arrays[i][keep]
+            if len(_few(cells[:10_000])) > _KINDS:
                 continue
-            cells = _texts(self.arrays[i][keep])
-            written = cells[cells != ""]
-            kinds = sorted(set(written.tolist()))
-            often = np.count_nonzero(written[1:] != written[:-1]) > _OFTEN * len(written)
-            if 1 < len(kinds) <= min(_KINDS, len(written) // 2) and (often or tells):
-                name = name[:60]
+            cells = _texts(cells)
+            rows = np.flatnonzero(cells != "")
+            written = cells[rows]
+            values = _few(written)
+            changes = np.flatnonzero(written[1:] != written[:-1])
+            often = len(changes) > _OFTEN * len(written)
+            if not 1 < len(values) <= min(_KINDS, len(written) // 2):
+                continue
+            is_text = any(map(_is_word, values))
+            tells = _TELLS.fullmatch(name) or (often and (is_text or _DEVICE.fullmatch(name)))
+            if not tells and not often:
+                continue
+            label = self.column(i)[:60] if i < len(self.names) and self.names[i] else i + 1
+            pair = f"rows=({label!r}, {values[0][:60]!r})"
+            if tells or (s is not None and _has_clocks(s[rows], written, changes)):
                 raise self.error(
-                    f"{name} tells rows of several kinds or sensors apart: {names.listed(kinds)}; "
-                    f"accepted: rows=({name!r}, {kinds[0][:60]!r}), for one of them, or rows=(), "
-                    "for all"
+                    f"{self.column(i)[:60]} tells rows of several kinds or sensors apart: "
+                    f"{names.listed(values)}; accepted: {pair}, for one of them, or rows=(), for "
+                    "all"
                 )
+            if len(values) <= _FEW and all(value.isdecimal() for value in values):
+                warn(
+                    f"{self.name}: {self.column(i)[:60]} changes in {len(changes)} rows between "
+                    f"{names.listed(values)}; if it tells sensors apart, pass {pair}; if not, "
+                    "rows=()",
+                    GyroLogWarning,
+                )
+
+    def _axes(self) -> set[int]:
+        """Columns of sensors with three axes."""
+        kinds = ("gyro", "accel", "mag", "like accel", "like mag")
+        return {i for kind in kinds for axes in names.triples(self.names, kind) for i in axes}
 
     def place(self, row: int) -> str:
         """The position of a row, for a message."""
@@ -144,14 +181,30 @@ class Table:
     def index(self, column: object, argument: str) -> int:
         """The index of a column from its name or its number from 1."""
         text = names.printable(column)
-        if self.names.count(text) == 1:
-            return self.names.index(text)
+        for known in (self.names, [names.bare(name)[0].strip() for name in self.names]):
+            if known.count(text) == 1:
+                return known.index(text)
+        if text in self.names:
+            raise GyroLogError(f"{argument}: found {text[:60]!r} twice; {self.by_number()}")
         if text.isdecimal() and len(text) < 9 and 1 <= int(text) <= len(self.arrays):
             return int(text) - 1
         raise GyroLogError(
             f"{argument}: found {text[:60]!r}; accepted: {self.shown()}, or a number from 1 to "
             f"{len(self.arrays)}"
         )
+
+    def refuse_twice(self, columns: Sequence[int]) -> None:
+        """Refuse names that several columns have."""
+        for i in columns:
+            if self.names.count(self.names[i]) > 1:
+                raise GyroLogError(
+                    f"found the column {self.names[i][:60]!r} twice; {self.by_number()}"
+                )
+
+    def by_number(self) -> str:
+        """What is accepted of columns that a name does not tell apart."""
+        most = len(self.arrays)
+        return f"accepted: names that occur once, or columns= and time_column= from 1 to {most}"
 
     def chosen(self, columns: Sequence[str], n: int, argument: str) -> list[int]:
         """The indices of n columns."""
@@ -167,23 +220,29 @@ class Table:
 def in_memory(source: Any) -> Table:
     """The table of a data frame, a data set of xarray, or a mapping of names to arrays."""
     name = type(source).__name__
-    columns: dict[str, Cells] = {}
-    for key, found in _columns(source):
+    columns: list[tuple[str, Cells]] = []
+    for key, column in _columns(source):
         label = ".".join(map(str, key)) if isinstance(key, tuple) else str(key)
-        array = _array(found)
+        unit = getattr(column, "attrs", {}).get("units")  # of xarray
+        array = _array(column)
+        if array.dtype.kind not in "mM" and isinstance(unit, str) and not names.bare(label)[1]:
+            said = f" [{unit.split(' since ')[0]}]"
+        else:
+            said = ""
         if array.ndim == 2 and array.shape[1] == 3:  # axes along the second dimension
-            columns |= {f"{label}.{a}": x for a, x in zip("xyz", array.T, strict=True)}
+            axes = zip("xyz", array.T, strict=True)
+            columns += [(f"{label}.{a}{said}", x) for a, x in axes]
         elif array.ndim == 1:
-            columns[label] = array
-    lengths = {len(x) for x in columns.values()}
+            columns.append((label + said, array))
+    lengths = {len(x) for _, x in columns}
     if len(lengths) != 1 or 0 in lengths:
         raise GyroLogError(
             f"{name}: found columns of lengths {sorted(lengths)}; accepted: one length"
         )
-    arrays = list(columns.values())
+    arrays = [x for _, x in columns]
     return Table(
         name=name,
-        names=[names.printable(n) for n in columns],
+        names=[names.printable(n) for n, _ in columns],
         arrays=arrays,
         # dates and durations of an array, in ns
         first_row=[stamps.DATE if x.dtype.kind in "mM" else str(x[0]) for x in arrays],
@@ -202,6 +261,9 @@ def _columns(source: Any) -> Iterator[tuple[Any, Any]]:
         kind = getattr(getattr(index, "dtype", None), "kind", "")
         if index.name is not None or kind in "mM":
             yield index.name or "time", index
+    if hasattr(source, "iloc"):  # names may occur twice
+        yield from ((key, source.iloc[:, i]) for i, key in enumerate(source.columns))
+        return
     keys = list(source.columns if hasattr(source, "columns") else source)
     for key in [*getattr(source, "coords", ()), *keys]:
         yield key, source[key]
@@ -235,6 +297,38 @@ def _numbers(array: Cells, how: stamps.Kind) -> Cells:
 def _texts(array: Cells) -> Cells:
     """Cells as text without blanks around it, empty for what is missing."""
     return np.array([_text(x) for x in array.tolist()], dtype=object)
+
+
+def _few(cells: Cells) -> list[str]:
+    """Different cells, sorted, as text."""
+    return sorted({_text(cell) for cell in cells.tolist()} - {""})
+
+
+def _is_word(text: str) -> bool:
+    return np.isnan(stamps.number(text)) and not _TIME_OF_DAY.fullmatch(text)
+
+
+def _has_clocks(s: Cells, cells: Cells, changes: NDArray[np.int64]) -> bool:
+    """Whether the time stamps of each value are those of a clock, and all together are not.
+
+    These repeat or go back where the value changes, or their intervals vary more.
+    """
+    s = np.where(stamps.valid(s), s - s[0], np.nan).astype(np.float64)
+    steps = np.diff(s)
+    if np.mean(steps[changes] <= 0.0) > 0.5:
+        return True
+    each = [np.diff(s[cells == value]) for value in set(cells.tolist())]
+    spreads = [_spread(x, np.nanmedian(x)) for x in each if len(x) > 3]
+    if not spreads:
+        return False
+    usual = min(np.nanmedian(x) for x in each if len(x) > 3)
+    return bool(max(spreads) < 0.5 * _spread(steps, usual) and _spread(steps, usual) > 0.1)
+
+
+def _spread(steps: Cells, usual: float) -> float:
+    """The range of the middle 80 % of intervals, in usual ones."""
+    low, high = np.nanquantile(steps, (0.1, 0.9))
+    return float((high - low) / usual)
 
 
 def _text(cell: object) -> str:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
+import xarray
 from each import each
 
 import fastatt as fa
+from fastatt.gyro import GyroLogWarning
 
 W = np.array([[0.1, -0.2, 0.3], [0.4, 0.5, -0.6], [-0.7, 0.8, 0.9]])
 A = np.array([[0.5, -0.25, 9.75], [0.25, 0.5, 9.5], [-0.5, 0.25, 9.25]])
@@ -504,3 +506,87 @@ def test_a_packet_counter_that_jumps_is_a_gap():
     refused = "row 2: a gap of 0.015 s; accepted: a packet counter without jumps"
     with pytest.raises(fa.GyroLogError, match=refused):
         fa.read_gyro_log(frames, rate=100.0, max_gap=1.0)
+
+
+def of_two_sensors(name, values, shift=0.003, n=200):
+    """Rows of two sensors in turn, the second one later than the first."""
+    t = 0.01 * np.repeat(np.arange(n), 2) + np.tile([0.0, shift], n)
+    return {"t (s)": t, name: list(values) * n, **dict.fromkeys(GYRO, np.tile([1.0, -1.0], n))}
+
+
+@each(
+    ("name", "values"),
+    [
+        ("node_id", (7, 9)), ("addr", ("0x68", "0x69")), ("serial", (1001, 1002)), ("ch", (0, 1)),
+        ("mac", ("D4:22:CD:00:01:0A", "00:22:CD:00:01:0B")), ("board", (1, 2)), ("side", "LR"),
+        ("port", (3, 4)), ("body", (1, 2)), ("unit", (1, 2)), ("index", (0, 1)),
+        ("deviceId", (5, 6)), ("whatever", ("a", "b")), ("0", ("00B421AF", "00B42263")),
+    ],
+)  # fmt: skip
+@each("shift", [0.003, 0.005, 0.0])
+def test_two_sensors_in_one_table_are_refused(name, values, shift):
+    """By text, or the name of a device, also where their stamps are even or equal."""
+    with pytest.raises(fa.GyroLogError, match=rf"{name} tells rows .* accepted: rows=\('{name}'"):
+        fa.read_gyro_log(of_two_sensors(name, values, shift))
+    with pytest.raises(fa.GyroLogError, match=f"{name} tells rows"):
+        fa.read_gyro_log(text_of(of_two_sensors(name, values, shift)))
+    log = fa.read_gyro_log(of_two_sensors(name, values, shift), rows=(name, values[0]))
+    assert (log.rates == 1.0).all()
+
+
+def test_two_sensors_are_known_by_their_clocks():
+    for shift in (0.003, 0.0, 1000.0, -0.3):
+        with pytest.raises(fa.GyroLogError, match="flag tells rows of several kinds"):
+            fa.read_gyro_log(of_two_sensors("flag", (0, 1), shift))
+    # an even clock may be that of one sensor: told
+    with pytest.warns(GyroLogWarning, match=r"flag changes in 399 rows .*rows=\('flag', '0'\)"):
+        fa.read_gyro_log(of_two_sensors("flag", (0, 1), 0.005))
+    assert len(fa.read_gyro_log(of_two_sensors("flag", (0, 1), 0.005), rows=()).t) == 400
+    # numbers that take few values by chance are no sensors'
+    columns = of_two_sensors("temperature", (20.5, 20.75), 0.005)
+    assert len(fa.read_gyro_log(columns).t) == 400
+
+
+def test_a_column_that_occurs_twice_is_said():
+    frame = pd.DataFrame({"t (s)": SECONDS} | dict(zip(GYRO, W.T, strict=True)))
+    for twice, name in (
+        (pd.concat([frame, frame], axis=1), "t"),
+        (pd.concat([frame, frame.iloc[:, 1:]], axis=1), "gx"),
+    ):
+        for source in (twice, io.StringIO(twice.to_csv(index=False))):
+            with pytest.raises(fa.GyroLogError, match=rf"found the column '{name} .* twice; acc"):
+                fa.read_gyro_log(source)
+        log = fa.read_gyro_log(twice, columns=[2, 3, 4], time_column=1)
+        assert np.array_equal(log.rates, W)
+
+
+def test_units_in_attributes_are_those_of_names():
+    data = xarray.Dataset(
+        {"angular_velocity": (("time", "axis"), W, {"units": "deg/s"})},
+        coords={"time": ("time", [0, 10, 20], {"units": "ms"})},
+    )
+    log = fa.read_gyro_log(data)
+    assert np.allclose(log.rates, DEG * W, rtol=1e-15)
+    assert np.allclose(log.dt, 0.01)
+    for name, value in (("unit", "rad/s"), ("time_unit", "us")):
+        with pytest.raises(fa.GyroLogError, match=f"{name}: found '{value}'"):
+            fa.read_gyro_log(data, **{name: value})
+    assert len(fa.read_gyro_log(data, time_column="time").t) == 3
+
+
+def test_seconds_and_nanoseconds_in_two_columns():
+    stamps = [(1700000000 + k // 100, k % 100 * 10_000_000) for k in range(150)]
+    rows = "\n".join(f"{s},{ns},0.1,0.2,0.3" for s, ns in stamps)
+    options = {"columns": [3, 4, 5], "unit": "rad/s"}
+    log = fa.read_gyro_log(io.StringIO(rows), time_column=(1, 2), **options)
+    assert np.allclose(log.dt, 0.01, rtol=1e-12)
+    over = rows.replace(",0,", ",1000000000,")
+    with pytest.raises(fa.GyroLogError, match="line 1: column 2 is '1000000000'; accepted: a"):
+        fa.read_gyro_log(io.StringIO(over), time_column=(1, 2), **options)
+
+
+def test_ticks_of_100_ns():
+    ticks = 132_500_000_000_000_000 + 11_600 * np.arange(50)
+    columns = {"HostTicks": ticks, **dict.fromkeys(GYRO, np.ones(50))}
+    log = fa.read_gyro_log(columns, time_column="HostTicks", time_unit="100ns")
+    assert log.rate == pytest.approx(1e7 / 11_600, rel=1e-9)

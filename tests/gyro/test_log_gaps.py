@@ -119,3 +119,38 @@ def test_more_than_a_hundredth_is_warned_of(bad, warned, tmp_path, capsys):
     gap = "line 54 at 0.49 s, ...; 1 gap: line 63 at 0.49 s)"
     assert found.err == (f"fastatt: warning: {path}: {rows}{gap}\n" if warned else "")
     assert f"; {bad} rows dropped" in found.out
+
+
+def test_samples_that_a_logger_lost_are_counted():
+    lost = np.random.default_rng(1).choice(np.arange(10, N - 10, 9), 12, replace=False)
+    kept = np.delete(np.arange(N), np.concatenate([lost + k for k in range(4)]))
+    with pytest.warns(GyroLogWarning, match=r"48 samples missing, the longest interval 0\.05 s"):
+        log = fa.read_gyro_log(table(T[kept], RATES[kept]))
+    assert "48 samples missing, the longest interval 0.05 s, before row" in log.summary
+    # a few are said in the summary alone
+    kept = np.delete(np.arange(N), [500, 501])
+    assert "; 2 samples missing, the" in fa.read_gyro_log(table(T[kept], RATES[kept])).summary
+    # late stamps, and stamps of a coarse clock, miss nothing
+    late = T + np.random.default_rng(2).exponential(0.2 * H, N)
+    coarse = np.floor(np.arange(N) / 0.7) * 1e-3
+    for t in (np.maximum.accumulate(late) + 1e-9 * np.arange(N), coarse):
+        assert "missing" not in fa.read_gyro_log(table(t)).summary
+
+
+@pytest.mark.parametrize(("size", "apart"), [(4, 1e-5), (10, 1e-4), (3, 1e-3), (2, 1e-3)])
+@pytest.mark.parametrize("how", ["refuse", "drop"])
+def test_stamps_of_arrival_in_bursts_name_the_rate(how, size, apart):
+    count = np.arange(N)
+    t = np.floor(count / size) * size * H + (count % size) * apart
+    with pytest.raises(GyroLogError, match=r"stamps of arrival, .* rate= in their place \(.*100"):
+        fa.read_gyro_log(table(t), on_bad_rows=how)
+    assert len(fa.read_gyro_log(table(t), rate=1 / H).t) == N
+
+
+def test_a_gap_and_its_bound_differ_as_text():
+    t = T.copy()
+    t[500:] += 9.000000001 * H
+    with pytest.raises(GyroLogError, match=r"a gap of 0\.10000000\d+ s; accepted: at most 0\.1"):
+        fa.read_gyro_log(table(t), max_gap=0.1)
+    with pytest.raises(ValueError, match=r"dt\[3\] is 0\.10000000\d+: a gap; accepted: at most"):
+        fa.integrate_rates(RATES[:5], [H, H, H, 0.1 + 1e-9], max_gap=0.1)
