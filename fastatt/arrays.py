@@ -326,13 +326,6 @@ def normalised(q: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
-def continuous(q: NDArray[Any]) -> NDArray[Any]:
-    """Quaternions (S, ..., 4), each of the sign that is nearer to the one before."""
-    turns = np.einsum("...k,...k", q[1:], q[:-1]) < 0.0
-    signs = np.cumprod(np.where(turns, -1, 1), axis=0)
-    return np.concatenate([q[:1], q[1:] * signs[..., None].astype(q.dtype)])
-
-
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """Hamilton product p∘q of quaternions.
 
@@ -349,9 +342,7 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     Returns
     -------
     ndarray of shape (..., 4)
-        The products, whose norms are the products of the norms. Nothing is normalised, and errors
-        of the norms multiply: normalise a quaternion that many products make, or one in which an
-        earlier result enters twice.
+        The products.
 
     Raises
     ------

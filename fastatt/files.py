@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import csv
 import os
-import platform
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
 from typing import IO, Any
@@ -45,9 +44,7 @@ def writing(
         with whole.open(f"w{letter}", **options) as file:
             yield file
         return
-    place = f".{whole.name}.{platform.node()}-"
-    _remove_left(whole.parent, place)
-    temporary = whole.with_name(f"{place}{os.getpid()}-{token_hex(8)}.part")
+    temporary = whole.with_name(f".{token_hex(8)}.part")
     try:
         file = temporary.open(f"x{letter}", **options)
     except OSError as error:  # of the folder
@@ -62,26 +59,6 @@ def writing(
         temporary.replace(whole)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _remove_left(folder: Path, place: str) -> None:
-    """Remove what processes that were killed on this machine have left of a file."""
-    with suppress(OSError):
-        for left in folder.iterdir():
-            if left.name.startswith(place) and left.suffix == ".part":
-                process = left.name.removeprefix(place).partition("-")[0]
-                if process.isdigit() and not _is_alive(int(process)):
-                    left.unlink(missing_ok=True)
-
-
-def _is_alive(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def write_csv(

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 import os
 import shutil
-import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +49,8 @@ OnSave = Callable[[Trajectory], object] | ToFile
 def to_file(path: str | os.PathLike[str]) -> ToFile:
     """Write the saves of a run to a file: ``propagate(..., on_save=fa.to_file(path))``.
 
-    The file is written 16 saves at a time, so that a history may be larger than memory. It holds
+    The file grows by 16 saves at a time, so that a history may be larger than memory. It holds
     (S, N, k) numbers: the attitudes, then w, v, r and s if the scene has them, then the norm error.
-    It takes its name when the run ends; the file of before stays until then. Saves that an
-    interrupted run did not make are NaN. The times, s, are beside it, in ``*.times.npy``.
 
     Parameters
     ----------
@@ -128,17 +124,12 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
 class History:
     """A file of (S, N, k) numbers: attitudes, then w, v, r and s if present, then norm errors.
 
-    It is mapped into memory, as ``array``, and has its name when it is whole; then a file beside it
-    has the times.
+    It is mapped into memory, as ``array``.
     """
 
-    def __init__(
-        self, target: Path, shape: tuple[int, int, int], dtype: np.dtype[Any],
-        times: NDArray[np.float64],
-    ) -> None:  # fmt: skip
+    def __init__(self, target: Path, shape: tuple[int, int, int], dtype: np.dtype[Any]) -> None:
         #: the number of saves in the file
         self.saves = 0
-        self._target, self._times, self._writing = target, times, ExitStack()
         check_room(shape, dtype, target)
         shape = (*shape[:2], shape[2] + 1)
         if target.exists() and not target.is_file():
@@ -147,43 +138,13 @@ class History:
                 "new name"
             )
         # an array of the file before may still be mapped
-        file = self._writing.enter_context(writing("on_save", target))
-        try:
+        with writing("on_save", target) as file:
             empty = {
                 "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape
             }  # fmt: skip
             np.lib.format.write_array_header_1_0(file, empty)
-            length = file.tell() + math.prod(shape) * dtype.itemsize
-            file.flush()
-            file.truncate(length)
-            # a page without room on the disk would end the process when it is written
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, length)
-            self.array = np.load(file.name, mmap_mode="r+")
-        except BaseException:
-            self._writing.__exit__(*sys.exc_info())
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        of: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Remove a file that is not whole."""
-        self._writing.__exit__(of, error, traceback)
-
-    def finish(self) -> None:
-        """Give the file its name; saves that were not made are NaN."""
-        self.array[self.saves :] = np.nan
-        self.array.flush()
-        self._writing.close()
-        with writing("on_save", self._target.with_suffix(".times.npy")) as file:
-            np.save(file, self._times)
-        self.array = np.load(self._target, mmap_mode="r+")
+            file.truncate(file.tell() + math.prod(shape) * dtype.itemsize)
+        self.array = np.load(target, mmap_mode="r+")
 
     def __call__(self, piece: Trajectory) -> None:
         """Write a few saves."""
@@ -279,7 +240,6 @@ class Output:
 
     def _filed(self, saves: int, end: Any) -> Trajectory:
         assert self._file is not None
-        self._file.finish()
         results = self.results._replace(saves=self._file.array[:saves])
         return self._made(self._times[:saves], results, end=end)
 

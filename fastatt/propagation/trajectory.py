@@ -111,14 +111,10 @@ class Trajectory:
 
     @cached_property
     def q(self) -> NDArray[Any]:
-        """Unit quaternions from body to inertial axes, scalar first: (S, N, 4).
-
-        From save to save each is the nearer one of q and −q.
-        """
+        """Unit quaternions from body to inertial axes, scalar first: (S, N, 4)."""
         if self.attitude.to_quat_array is not None:
-            q = self._shaped(self.attitude.to_quat_array(self.state))
-            return q if self.attitude.family == "quaternion" else arrays.continuous(q)
-        return arrays.continuous(arrays.quaternions_of(self.dcm))
+            return self._shaped(self.attitude.to_quat_array(self.state))
+        return arrays.quaternions_of(self.dcm)
 
     @cached_property
     def dcm(self) -> NDArray[Any]:
