@@ -168,7 +168,9 @@ def _is_of(run: Trajectory, scene: Scene) -> bool:
     method, position = run.record, "r" in run.carried
     bodies = run.status.size
     packed = scene.packed(bodies, sorted_axes=method.sorted_axes, position=position)
-    if run.packed is None or packed.structure != run.packed.structure:
+    if run.packed is None:  # it was computed elsewhere
+        return True
+    if packed.structure != run.packed.structure:
         return False
     end = packed.structure.rotation.n_params
     user = 0 if scene.params is None else np.shape(scene.params)[-1]
