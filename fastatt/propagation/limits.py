@@ -68,12 +68,12 @@ class StepLimits:
         decay, frequency = fastest_states(packed, start, t0)
         h, limit = float(np.abs(self.dt).max()), self.method.damping_limit
         for rate, most, what in (
-            (decay, limit, "decays by"), (frequency, 0.5 * limit, "oscillates by"),
+            (decay, limit, "decays at"), (frequency, 0.5 * limit, "oscillates at"),
         ):  # fmt: skip
             if rate * h > most:
                 rounding.warn(
-                    f"dt: a state of the scene {what} {rate * h:.3g} rad a step (∂ṡ/∂s has an "
-                    f"eigenvalue of {rate:.3g} 1/s); {self.method.name} is trustworthy up to "
+                    f"dt: a state of the scene {what} {rate:.3g} 1/s, by the eigenvalues of ∂ṡ/∂s, "
+                    f"{rate * h:.3g} a step; {self.method.name} is trustworthy up to "
                     f"{most:.3g}: take |dt| <= {most / rate:.3g}"
                 )
                 return
