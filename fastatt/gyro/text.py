@@ -30,7 +30,8 @@ _RATE = re.compile(
     re.IGNORECASE,
 )
 _COMMENTS = ("#", "//", "%")
-_COMMENT = re.compile(r" *(#|//|%)[^\n]*")
+# at the begin of a cell; a sign inside a number is damage
+_COMMENT = re.compile(r"(?: +|(?<![^\s,;]))(#|//|%)[^\n]*")
 _QUOTE = re.compile(r'(?<![^\s,;#"])"|"(?![^\s,;"])')  # at the begin or the end of a cell
 
 

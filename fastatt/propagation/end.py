@@ -133,16 +133,14 @@ def loaded(path: str | os.PathLike[str]) -> End:
 
     Raises ``ValueError`` for a folder and another kind of file, ``OSError`` if it can't be read.
     """
-    source = target("run", path)
+    content = target("run", path).read_bytes()  # its errors are those of the disk
     try:
-        with source.open("rb") as opened, zipfile.ZipFile(opened) as file:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
             arrays = {x.filename.removesuffix(".npy"): _array(file, x) for x in file.infolist()}
         options = json.loads(str(arrays.pop("header")))
         number, digest = options.pop("format"), options.pop("digest", "")
         end = End(options, arrays)
         is_whole = digest == end.digest and end.is_consistent
-    except OSError:
-        raise
     except Exception:  # noqa: BLE001 (archives, arrays and texts that are damaged raise any)
         reason = "is not the end of a run"
     else:

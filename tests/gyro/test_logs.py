@@ -217,10 +217,18 @@ def test_byte_order_mark_and_quotes(tmp_path, text):
     assert np.array_equal(log.rates, RATES)
 
 
-def test_a_quotation_mark_inside_a_number_is_no_number(tmp_path):
-    path = write(tmp_path / "a.csv", f"{RAD}\n" + "1,2,3\n" * 6 + '1,0."5,3\n')
+@each("row", ('1,0."5,3', "1,2,3#6", "1,2,3.0//4", "1,2,3%5"))
+def test_a_mark_inside_a_number_makes_it_no_number(tmp_path, row):
+    """A quotation mark, or the sign of a comment."""
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + "1,2,3\n" * 6 + f"{row}\n")
     with pytest.raises(GyroLogError, match="line 8"):
         read_gyro_log(path, rate=1.0)
+
+
+@each("note", (" # a note", "  // 5", " % 5"))
+def test_a_comment_after_a_row_is_left_out(tmp_path, note):
+    path = write(tmp_path / "a.csv", f"{RAD}\n" + f"1,2,3{note}\n" * 6)
+    assert np.array_equal(read_gyro_log(path, rate=1.0).rates, [[1.0, 2.0, 3.0]] * 6)
 
 
 def test_missing_file(tmp_path):
