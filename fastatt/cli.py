@@ -20,13 +20,13 @@ from fastatt.codegen import modules
 from fastatt.gyro.attitudes import attitude_rows, check_ending, write_attitudes
 from fastatt.gyro.columns import ANGLES, TIME_UNITS, UNITS
 from fastatt.gyro.integrate import methods_for_samples
+from fastatt.gyro.invalid_rows import ON_BAD_ROWS
 from fastatt.gyro.log import VALUES
 from fastatt.gyro.read import read_gyro_log
-from fastatt.gyro.rows import ON_BAD_ROWS
 from fastatt.methods import METHODS
 from fastatt.scene.torque_record import Dependence
 from fastatt.trade.ensembles import SCENES
-from fastatt.trade.run import run_trade
+from fastatt.trade.standard_study import run_trade
 
 # options of a log that read it
 _READING = (

@@ -9,6 +9,6 @@ from fastatt import checks
 
 checks.optional("fastatt.dask", "dask.array", "fastatt[dask]")
 
-from fastatt.dask.runs import LazyTrajectory, propagate  # noqa: E402
+from fastatt.dask.chunks import LazyTrajectory, propagate  # noqa: E402
 
 __all__ = ["LazyTrajectory", "propagate"]

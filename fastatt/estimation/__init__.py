@@ -24,7 +24,7 @@ from fastatt.estimation.inertial_logs import preintegrate
 from fastatt.estimation.mekf import MEKF
 from fastatt.estimation.motions import gyro_motion, scene_motion
 from fastatt.estimation.noise import simulate_gyro
-from fastatt.estimation.runs import RunTangent, run_tangent
+from fastatt.estimation.run_derivatives import RunTangent, run_tangent
 from fastatt.estimation.ukf import UKF
 from fastatt.estimation.updates import (
     mekf_predict,

@@ -12,7 +12,7 @@ from fastatt.arrays import normalised, quat_multiply
 from fastatt.gyro import ends
 from fastatt.gyro.intervals import cuts, stretches
 from fastatt.gyro.loops import LANES, Logs, Part, loop
-from fastatt.gyro.program import GyroProgram, program
+from fastatt.gyro.window_loops import GyroProgram, program
 from fastatt.methods import Method
 from fastatt.methods.windows import CHUNK
 from fastatt.threads import in_threads, number_of

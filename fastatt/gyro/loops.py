@@ -27,7 +27,7 @@ from fastatt.methods.windows import CHUNK
 LANES = 16
 #: the first row of an iteration in a tile's ``state``, after p at the start of each chunk
 ITERATION = 4
-#: the parts of a program's function (``fastatt.gyro.program``)
+#: the parts of a program's function (``fastatt.gyro.window_loops``)
 WINDOWS, PLACE = 0, 1
 
 

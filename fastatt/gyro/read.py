@@ -15,8 +15,8 @@ from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
 from fastatt.gyro.columns import ANGLES, UNITS
 from fastatt.gyro.intervals import REGULAR
+from fastatt.gyro.invalid_rows import ON_BAD_ROWS, in_order
 from fastatt.gyro.log import VALUES, GyroLog, GyroLogError, GyroLogWarning
-from fastatt.gyro.rows import ON_BAD_ROWS, in_order
 from fastatt.gyro.tables import Table, in_memory, tabular
 from fastatt.gyro.text import from_text
 

@@ -9,7 +9,7 @@ from fastatt.interchange.conventions import (
     to_scalar_last,
     to_scipy,
 )
-from fastatt.interchange.tables import dataframe, write_csv
+from fastatt.interchange.run_tables import dataframe, write_csv
 
 __all__ = [
     "Aem", "AemSegment", "dataframe", "from_jpl", "from_scalar_last", "from_scipy", "read_aem",

@@ -22,7 +22,7 @@ from fastatt import checks
 from fastatt.arrays import normalised, quat_rotate, quat_rotate_inverse
 from fastatt.files import writing
 from fastatt.interchange import epochs
-from fastatt.interchange.tables import check_run
+from fastatt.interchange.run_tables import check_run
 
 # numbers in a data line after its time, by version and type; the last type has angular velocities
 _TYPES = {

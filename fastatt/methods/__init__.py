@@ -27,7 +27,7 @@ _FILES = {
     "kahan_li8": "strang",
     "dmv2": "dmv",
     "dmv10": "dmv",
-    "exact": "closed_form",
+    "exact": "exact",
     "hold": "samples",
     "trapezoid": "samples",
     "previous": "samples",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fastatt.files import target, writing
-from fastatt.interchange import tables
+from fastatt.interchange import run_tables
 from fastatt.methods import METHODS
 
 # Okabe and Ito's colours, which colour-blind readers can distinguish
@@ -70,7 +70,7 @@ def check_run(run: Any) -> None:
 
     Raises ``TypeError`` or ``ValueError``.
     """
-    tables.check_run(run)
+    run_tables.check_run(run)
     if len(run.t) < 2:
         raise ValueError("run: has 1 save; accepted: two or more (save_every=)")
 

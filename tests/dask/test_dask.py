@@ -117,7 +117,7 @@ def test_each_chunk_runs_once_and_on_one_thread(monkeypatch):
         threads.append(options["n_threads"])
         return fa.propagate(*args, **options)
 
-    monkeypatch.setattr("fastatt.dask.runs.run_chunk", counted)
+    monkeypatch.setattr("fastatt.dask.chunks.run_chunk", counted)
     lazy, whole = (
         fd.propagate(SHARED, Q0, W0, chunks=30, **RK4),
         fa.propagate(SHARED, Q0, W0, **RK4),

@@ -10,7 +10,7 @@ import pytest
 import fastatt as fa
 from fastatt.codegen import emitter
 from fastatt.codegen.processor import processor
-from fastatt.gyro import program
+from fastatt.gyro import window_loops
 from fastatt.gyro.loops import CHUNK
 from fastatt.methods.windows import Window
 
@@ -20,9 +20,9 @@ LOG = np.random.default_rng(2).normal(size=(3000, 3))
 @pytest.fixture
 def fresh():
     """No program made before the test is used, and none of its own after it."""
-    program.program.cache_clear()
+    window_loops.program.cache_clear()
     yield
-    program.program.cache_clear()
+    window_loops.program.cache_clear()
 
 
 # bytes of the vectors of other processors than this one
@@ -44,22 +44,22 @@ def test_width_of_vectors_changes_no_bit(fresh, monkeypatch, method, increments,
     ]
     expected = [fa.integrate_rates(data, dt, **options) for data, dt in cases]
     other = processor()._replace(vector=vector)
-    for module in (emitter, program):
+    for module in (emitter, window_loops):
         monkeypatch.setattr(module, "processor", lambda: other)
-    program.program.cache_clear()
+    window_loops.program.cache_clear()
     for (data, dt), one in zip(cases, expected, strict=True):
         assert fa.integrate_rates(data, dt, **options).tobytes() == one.tobytes()
 
 
 def forms_made(monkeypatch):
     """Whether they are for small rotation angles, of the forms that are compiled from now on."""
-    made, compiled = [], program.GyroProgram._compiled
+    made, compiled = [], window_loops.GyroProgram._compiled
 
     def compile_form(self, *, small_angle):
         made.append(small_angle)
         return compiled(self, small_angle=small_angle)
 
-    monkeypatch.setattr(program.GyroProgram, "_compiled", compile_form)
+    monkeypatch.setattr(window_loops.GyroProgram, "_compiled", compile_form)
     return made
 
 
@@ -94,9 +94,9 @@ def test_both_exponentials_give_small_turns_the_same_bits(fresh, monkeypatch, fa
         near = property(lambda window: 1e-9)
         with monkeypatch.context() as patched:
             patched.setattr(Window, "near", near)
-            program.program.cache_clear()
+            window_loops.program.cache_clear()
             wide = fa.integrate_rates(data.astype(dtype), 0.1, method="coning2")
-        program.program.cache_clear()
+        window_loops.program.cache_clear()
         assert wide.tobytes() == short.tobytes()
 
 

@@ -153,7 +153,7 @@ def test_a_missing_package_is_named_with_what_installs_it(monkeypatch, package, 
 def test_long_tables_are_written_in_pieces(tmp_path, monkeypatch):
     run = run_of(3)
     run.to_csv(tmp_path / "whole.csv")
-    monkeypatch.setattr("fastatt.interchange.tables._ROWS", 4)
+    monkeypatch.setattr("fastatt.interchange.run_tables._ROWS", 4)
     run.to_csv(tmp_path / "pieces.csv")
     assert (tmp_path / "pieces.csv").read_text() == (tmp_path / "whole.csv").read_text()
 
