@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import os
+import platform
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import IO, Any
@@ -44,7 +45,9 @@ def writing(
         with whole.open(f"w{letter}", **options) as file:
             yield file
         return
-    temporary = whole.with_name(f".{token_hex(8)}.part")
+    part = f".{whole.name}.{platform.node()}-"
+    _remove_left(whole.parent, part)
+    temporary = whole.with_name(f"{part}{os.getpid()}-{token_hex(8)}.part")
     try:
         file = temporary.open(f"x{letter}", **options)
     except OSError as error:  # of the folder
@@ -59,6 +62,28 @@ def writing(
         temporary.replace(whole)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _remove_left(folder: Path, part: str) -> None:
+    """Remove the parts of a file that processes left which were killed on this machine."""
+    with suppress(OSError):
+        for left in folder.iterdir():
+            if left.name.startswith(part) and left.suffix == ".part":
+                process = left.name.removeprefix(part).partition("-")[0]
+                if process.isdigit() and not _is_alive(int(process)):
+                    left.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    """Whether a process may still write; on Windows the question would end it."""
+    if os.name == "posix":
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return False
+        except OSError:
+            return True
+    return True
 
 
 def write_csv(

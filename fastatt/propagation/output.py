@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -19,7 +18,7 @@ from fastatt.engine.run import Results, Run
 from fastatt.engine.status import Status
 from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
-from fastatt.propagation.schedule import Schedule, refuse_pairs
+from fastatt.propagation.schedule import RING, Schedule, refuse_pairs
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.threads import number_of
 
@@ -49,8 +48,10 @@ OnSave = Callable[[Trajectory], object] | ToFile
 def to_file(path: str | os.PathLike[str]) -> ToFile:
     """Write the saves of a run to a file: ``propagate(..., on_save=fa.to_file(path))``.
 
-    The file grows by 16 saves at a time, so that a history may be larger than memory. It holds
+    A history may be larger than memory, of which 16 saves take a part at a time. The file holds
     (S, N, k) numbers: the attitudes, then w, v, r and s if the scene has them, then the norm error.
+    When a run begins, it has its whole size on the disk, and replaces a file of that name: saves
+    that are not made yet are NaN. The times of the saves, s, are beside it, in ``*.times.npy``.
 
     Parameters
     ----------
@@ -124,14 +125,18 @@ def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
 class History:
     """A file of (S, N, k) numbers: attitudes, then w, v, r and s if present, then norm errors.
 
-    It is mapped into memory, as ``array``.
+    Saves that were not made are NaN. A file beside it has the times.
     """
 
-    def __init__(self, target: Path, shape: tuple[int, int, int], dtype: np.dtype[Any]) -> None:
+    def __init__(
+        self, target: Path, shape: tuple[int, int, int], dtype: np.dtype[Any],
+        times: NDArray[np.float64],
+    ) -> None:  # fmt: skip
         #: the number of saves in the file
         self.saves = 0
         check_room(shape, dtype, target)
-        shape = (*shape[:2], shape[2] + 1)
+        saves, bodies, values = self._shape = (*shape[:2], shape[2] + 1)
+        self._dtype = dtype
         if target.exists() and not target.is_file():
             raise ValueError(
                 f"on_save: found {target}, which cannot be mapped; accepted: a regular file, or a "
@@ -140,18 +145,37 @@ class History:
         # an array of the file before may still be mapped
         with writing("on_save", target) as file:
             empty = {
-                "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape
+                "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False,
+                "shape": self._shape,
             }  # fmt: skip
             np.lib.format.write_array_header_1_0(file, empty)
-            file.truncate(file.tell() + math.prod(shape) * dtype.itemsize)
-        self.array = np.load(target, mmap_mode="r+")
+            self._begin = file.tell()
+            blank = np.full((RING, bodies, values), np.nan, dtype)
+            for first in range(0, saves, RING):
+                file.write(blank[: saves - first].data)
+            file.flush()
+            os.fsync(file.fileno())  # of which a disk that is full may tell
+            with writing("on_save", target.with_suffix(".times.npy")) as beside:
+                np.save(beside, times)
+        self._file = target.open("r+b")
+        self._file.seek(self._begin)
 
     def __call__(self, piece: Trajectory) -> None:
         """Write a few saves."""
-        rows = slice(self.saves, self.saves + piece.t.size)
         columns = [piece.state, *piece.carried.values(), piece.norm_error[..., None]]
-        self.array[rows] = np.concatenate(columns, axis=-1)
-        self.saves = rows.stop
+        # written, since a disk that is full ends a process that changes a map
+        self._file.write(np.concatenate(columns, axis=-1).data)
+        self._file.flush()
+        self.saves += piece.t.size
+
+    @property
+    def array(self) -> NDArray[Any]:
+        """The numbers, mapped into memory."""
+        return np.memmap(self._file, self._dtype, "r+", self._begin, self._shape)
+
+    def close(self) -> None:
+        """Write no more."""
+        self._file.close()
 
 
 class InterruptedRun(KeyboardInterrupt):
@@ -217,6 +241,11 @@ class Output:
         for take in self._takers:
             take(self._made(self._times[first:end], results))
         self.done(end - first)
+
+    def close(self) -> None:
+        """Close the file, if there is one."""
+        if self._file is not None:
+            self._file.close()
 
     def so_far(self) -> Trajectory | None:
         """What is kept of an interrupted run; None of saves that a function has taken."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, pairwise
@@ -201,12 +202,12 @@ class Plan:
         if on_save is None and file is None:
             check_room(shape, self.dtype)
         times = self._times(t0)
-        history = None if file is None else History(file, shape, self.dtype)
+        history = None if file is None else History(file, shape, self.dtype, times)
         arrays = partial(Results.empty, shape[1:], self.dtype, len(self.choice.events))
         made = partial(self._trajectory, one_body=start.one_body)
         output, end = Output(schedule, times, arrays, made, (on_save, history)), None
         is_warned = False
-        with progress_bar(progress, *output.length) as output.done:
+        with closing(output), progress_bar(progress, *output.length) as output.done:
             if self.program is None:
                 is_warned = self._evaluate(start, output, n_threads)
             else:
@@ -217,8 +218,8 @@ class Plan:
                 run, is_warned = self._step(start, t0, output, takers, n_threads, resumed)
                 if keeps_end and ends_on_step and self.n_bodies <= min(MOST, PART):
                     end = write(run, schedule.end)
-        limits.warn_of_status(output.results.status, is_warned=is_warned)
-        return output.trajectory(end)
+            limits.warn_of_status(output.results.status, is_warned=is_warned)
+            return output.trajectory(end)
 
     def _evaluate(self, start: Initial, output: Output, n_threads: int) -> bool:
         """Evaluate the closed form at the saves, a batch after the other; whether it warned."""
