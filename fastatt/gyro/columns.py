@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -81,8 +82,8 @@ _PLACES = (
 )
 _BESIDE = (
     rf"{_PLACES}|imu|sensors?|device|dev|data|adc|cal(ib(rated)?)?|(un)?filt(ered)?|lpf|smooth(ed)?"
-    r"|values?|meas(ured|urements?)?|scaled|sync(ed)?|input|rs|xyz|\d+"
-    r"|(mpu|icm|bm[ix]|bno|lsm|adis|itg|l3g|mti|xsens|vn|stim)\d*[a-z]{0,2}\d*"
+    r"|values?|meas(ured|urements?)?|scaled|sync(ed)?|input|rs|xyz|\d++"
+    r"|(mpu|icm|bm[ix]|bno|lsm|adis|itg|l3g|mti|xsens|vn|stim)\d*+[a-z]{0,2}\d*+"
 )
 _MOVING = "|motion|body|corr(ected)?|comp(ensated)?|ib"  # of rates alone: "body acceleration"
 _TURNS = (
@@ -91,13 +92,14 @@ _TURNS = (
     r"|(gyro?)?(?P<is_increment>(delta|d)(ang(le)?s?|theta)|angles?|inc(rement)?s?)"
 )
 # names of three-axis sensors, without axis, blanks, dashes and underscores, by all that they say:
-# a word that is not here may mean another frame, a reference, a statistic or an error
+# a word that is not here may mean another frame, a reference, a statistic or an error; of words
+# without a limit to their number, a search for those of a long name would not end
 _SENSORS = {
-    "gyro": rf"({_BESIDE}{_MOVING})*({_TURNS})({_BESIDE}{_MOVING})*|wrss|w|g",
+    "gyro": rf"({_BESIDE}{_MOVING}){{0,6}}({_TURNS})({_BESIDE}{_MOVING}){{0,6}}|wrss|w|g",
     # specific force: "linear", "user" and "motion" leave out gravity
-    "accel": rf"({_BESIDE})*(acc|accels?|acc?eleration|(accelerometer)s?(acceleration)?"
-    rf"|specificforce)({_BESIDE})*|arss|a",
-    "mag": rf"({_BESIDE}|motion)*(magn?|magnetometer|mag(netic)?field|compass)({_BESIDE})*|m",
+    "accel": rf"({_BESIDE}){{0,6}}(acc|accels?|acc?eleration|(accelerometer)s?(acceleration)?"
+    rf"|specificforce)({_BESIDE}){{0,6}}|arss|a",
+    "mag": rf"({_BESIDE}|motion){{0,6}}(magn?|magnetometer|mag(netic)?field|compass)({_BESIDE}){{0,6}}|m",
     "like accel": r"(?!.*(ang|gyr)).*acc.*|a",
     "like mag": r".*mag.*|m",
     "unnamed": "",
@@ -105,14 +107,12 @@ _SENSORS = {
 _WORDS = {"accel": "accelerometer", "mag": "magnetometer"}
 # units of numbers that are no rates, whatever an argument says of them
 _NO_RATES = re.compile(r"lsbs?|counts?|raw|digits?|adc|bits?|ticks?|m?g|m/s.*|.*volts?|m?v")
-_IN_BRACKETS = re.compile(r"[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_IN_BRACKETS = re.compile(r"(?<![ _])[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
-    r"[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|[cm]?m[ _/p]*s).*$",
+    r"(?<![ _])[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|[cm]?m[ _/p]*s).*$",
     re.IGNORECASE,
 )
-_AXIS = re.compile(
-    r"(?P<stem>.*?)[ _.\-/]*(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE | re.DOTALL
-)
+_AXIS = re.compile(r"(?P<before>.*)(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE)
 _TIME = re.compile(
     r"(_*times?|timestamps?|ts?|stamps?|datetime|date|elapsed(time)?|seconds(?P<elapsed>elapsed)?"
     r"|timesincestart|unixtime(stamp)?|epoch|clock|\w*timestampunix|loggingtime|logtime"
@@ -147,8 +147,9 @@ _FIELD = re.compile(r"[\[( _](?P<unit>[mnuµμ]?(t|teslas?|g|gauss))[\])]?$", re
 
 
 def printable(name: object) -> str:
-    """A name of a column as a message prints it."""
-    return "".join(c if c.isprintable() else "?" for c in " ".join(str(name).split()))
+    """A name of a column as a message prints it, at most 200 letters."""
+    text = " ".join(str(name).split())[:200]
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def listed(names: Iterable[str]) -> str:
@@ -170,7 +171,8 @@ def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
 
 def repeated(names: Sequence[str]) -> list[int]:
     """The columns of gyros, and of times, by names that occur twice."""
-    twice = [i for i, name in enumerate(names) if names.count(name) > 1]
+    times = Counter(names)
+    twice = [i for i, name in enumerate(names) if times[name] > 1]
     of_gyros = [re.fullmatch(_SENSORS["gyro"], _stem(names[i])[0]) for i in twice]
     return [i for i, fits in zip(twice, of_gyros, strict=True) if fits or _time(names[i])]
 
@@ -181,9 +183,9 @@ def _stem(name: str) -> tuple[str, str, str]:
     match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
     if match is None:
         return "", "", ""
-    stem = _UNIT_AT_END.sub("", re.split(r"[./]", match["stem"])[-1])
-    axis = match["axis"].strip("[]()").lower()
-    return re.sub(r"[ _\-]", "", stem).lower(), axis, match["stem"].lower()
+    whole = match["before"].rstrip(" _.-/").lower()
+    stem = _UNIT_AT_END.sub("", re.split(r"[./]", whole)[-1])
+    return re.sub(r"[ _\-]", "", stem), match["axis"].strip("[]()").lower(), whole
 
 
 def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | None:

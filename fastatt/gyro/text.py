@@ -26,12 +26,12 @@ from fastatt.gyro.tables import Table
 _HEAD = 1000  # lines within which the numbers must begin
 _RATE = re.compile(
     r"((gyro\w*|imu)[ _])?((sample|update)[ _]?rate|sampling[ _]?(rate|frequency))"
-    r"([ _]*[(\[]hz[)\]])?[\s:=,;\"']+(?P<rate>\d+\.?\d*(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
+    r"([ _]*[(\[]hz[)\]])?[\s:=,;\"']+(?P<rate>\d+(\.\d*)?(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
     re.IGNORECASE,
 )
 _COMMENTS = ("#", "//", "%")
 # at the begin of a cell; a sign inside a number is damage
-_COMMENT = re.compile(r"(?: +|(?<![^\s,;]))(#|//|%)[^\n]*")
+_COMMENT = re.compile(r"(?:(?<! ) +|(?<![^\s,;]))(#|//|%)[^\n]*")
 _QUOTE = re.compile(r'(?<![^\s,;#"])"|"(?![^\s,;"])')  # at the begin or the end of a cell
 
 

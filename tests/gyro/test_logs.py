@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -229,6 +230,17 @@ def test_a_mark_inside_a_number_makes_it_no_number(tmp_path, row):
 def test_a_comment_after_a_row_is_left_out(tmp_path, note):
     path = write(tmp_path / "a.csv", f"{RAD}\n" + f"1,2,3{note}\n" * 6)
     assert np.array_equal(read_gyro_log(path, rate=1.0).rates, [[1.0, 2.0, 3.0]] * 6)
+
+
+@each("run", ("1", "a", " ", "_", "-", "rs", "s/", "values", "mpu1l", "sensor ", "[", "deg_"))
+def test_long_runs_in_a_header_cost_no_more_than_other_letters(run):
+    """Where a pattern goes back over a run, 10^5 letters take minutes or years."""
+    long = run * (100_000 // len(run))
+    head = f"# {long}\n# sample rate: {long}!\nt [s],{RAD},{long}x,gyro{long},{long},time{long}!"
+    start = time.process_time()
+    log = read_gyro_log(io.StringIO(f"{head}\n0,1,2,3,4,5,6,7 {' ' * 50000} # a\n1,1,2,3,4,5,6,7"))
+    assert log.rate == 1.0
+    assert time.process_time() - start < 5.0
 
 
 def test_missing_file(tmp_path):
