@@ -19,8 +19,30 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from extremes.bodies import SHAPES, V, closed, measured, spins
-from extremes.cases import START, Array, Case, Outcome, Table, angle, mul, propagate, single
+from extremes.bodies import (
+    SHAPES,
+    TORQUED_STEPS,
+    V,
+    closed,
+    measured,
+    spins,
+    swing,
+    takes_torques,
+)
+from extremes.cases import (
+    ANGLES,
+    PROMISE,
+    START,
+    Array,
+    Case,
+    Outcome,
+    Table,
+    angle,
+    mul,
+    propagate,
+    rounding,
+    single,
+)
 from extremes.energy import ENSEMBLE, energy, keeps_energy
 from extremes.rates import CONES, cone, rates
 from extremes.samples import coning_log
@@ -107,11 +129,12 @@ def energy_table(n_steps: int, methods: Iterable[Method]) -> Iterable[str]:
 
 
 SHARES = np.concatenate([np.linspace(0.5, 0.999, 16), [2.0]])  # of a limit: up to it, and beyond
+SMALLER = np.concatenate([np.geomspace(0.02, 0.5, 8), SHARES[:-1]])  # where an order can be seen
 
 
-def steps_of_cones(case: Case) -> tuple[Array, NDArray[np.uint8]]:
-    """Error of a step, rad a rad turned, and status at shares of the limit, (17, M) each."""
-    theta, a = np.meshgrid(SHARES * case.record.limit(case.representation), CONES, indexing="ij")
+def steps_of_cones(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint8]]:
+    """Error of a step, rad a rad turned, and status at shares of the limit, (K, M) each."""
+    theta, a = np.meshgrid(shares * case.record.limit(case.representation), CONES, indexing="ij")
     frequency = (theta / (2.0 * np.sin(0.5 * a))).ravel()
     a = a.ravel()
     q0 = mul(START, cone(a, 0.0 * a))
@@ -120,9 +143,9 @@ def steps_of_cones(case: Case) -> tuple[Array, NDArray[np.uint8]]:
     return error.reshape(theta.shape), got.status.reshape(theta.shape)
 
 
-def steps_of_bodies(case: Case) -> tuple[Array, NDArray[np.uint8]]:
+def steps_of_bodies(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint8]]:
     """The same of free bodies that can exist, in many directions."""
-    limits = SHARES * case.record.limit(case.representation, body=True)
+    limits = shares * case.record.limit(case.representation, body=True)
     inertia, w0 = [], []
     for name in ("V", "rod 1e-3", "needle 1e3", "disc", "disc ±2 %", "1, 2, 2.9"):
         w = spins(np.array(SHAPES[name]))
@@ -140,6 +163,31 @@ def steps_of_bodies(case: Case) -> tuple[Array, NDArray[np.uint8]]:
         error.append(angle(got.q[-1], q) / (limit * np.linalg.norm(w, axis=1)))
         status.append(got.status)
     return np.array(error), np.array(status)
+
+
+def coefficients(case: Case) -> Iterable[tuple[str, float]]:
+    """Twice the largest error over measure^order of what the tables hold a method to."""
+    record = case.record
+    for scene, name, run in (
+        ("rate", "OF_CONES", steps_of_cones),
+        ("free", "OF_BODIES", steps_of_bodies),
+    ):
+        limit = record.limit(case.representation, body=scene == "free")
+        if scene in record.scenes and math.isfinite(limit) and not record.sorted_axes:
+            error, status = run(case, SMALLER)
+            measure = np.minimum(limit * SMALLER, 10.0) ** record.order_of(scene)
+            known = (status == 0) & (error > 1e-9)  # not rounding, of needles neither
+            yield name, 2.0 * float(np.max((error / measure[:, None])[known], initial=0.0))
+    if takes_torques(case):
+        worst = 0.0
+        for x in np.geomspace(0.05, 10.0, 60):
+            of = swing(case, x)
+            step = (
+                of.error / of.along - rounding(case, TORQUED_STEPS, TORQUED_STEPS * of.turn)
+            ) / (TORQUED_STEPS * np.minimum(of.turn, 10.0) ** record.order_of("torqued"))
+            known = (of.status == 0) & (of.error < PROMISE)
+            worst = max(worst, float(np.max(step[known], initial=0.0)))
+        yield "OF_PENDULA", 2.0 * worst
 
 
 def number(x: float) -> str:
@@ -279,7 +327,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes at once")
     parser.add_argument("--page", type=Path, default=ROOT / "bench", help="folder of the summary")
     parser.add_argument("--out", type=Path, default=ROOT / "results", help="folder of all tables")
+    parser.add_argument("--coefficients", metavar="METHOD", help="print what its tables need")
     options = parser.parse_args(arguments)
+    if options.coefficients:
+        for representation in fa.METHODS[options.coefficients].representations:
+            if representation in ANGLES:  # they have a promise of their own
+                continue
+            case = Case(options.coefficients, representation)
+            print(*case[:2], *(f"{name} {x:.2g}" for name, x in coefficients(case)))
+        return 0
     every = cases(quick=options.quick)
     # a process ends after some rows: what was compiled stays in its memory
     with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=8) as pool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 import traceback
 
 import pytest
@@ -18,6 +19,8 @@ def each(names, cases):
 
     def decorate(test):
         signature = inspect.signature(test)
+        # pytest's -k finds a test by its attributes too, thus by a word of one of its cases
+        words = {word for case in cases for word in re.findall(r"\b[A-Za-z]\w*", repr(case))}
 
         @functools.wraps(test)
         def of_all(**others):
@@ -31,6 +34,7 @@ def each(names, cases):
             assert not failed, "\n".join([f"{len(failed)} of {len(cases)} cases", *failed])
 
         kept = [p for name, p in signature.parameters.items() if name not in names]
+        vars(of_all).update(dict.fromkeys(words, True))
         of_all.__signature__ = signature.replace(parameters=kept)
         return of_all
 

@@ -29,3 +29,11 @@ def test_every_case_that_fails_is_named(tmp_path):
 def test_no_cases_are_no_test():
     with pytest.raises(AssertionError):
         each("a", [])
+
+
+def test_a_test_has_the_words_of_its_cases_where_pytest_looks_for_them():
+    @each("method, n", [("rk4", 1), ("cf4", 2)])
+    def looked(method, n):
+        assert n
+
+    assert {"rk4", "cf4"} <= set(vars(looked))  # of -k

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 import fastatt as fa
 from extremes.cases import (
     ANGLES,
     ANGLES_PROMISE,
     OF_BODIES,
+    OF_BODIES_IN_MATRICES,
     OF_PENDULA,
     OF_PENDULA_IN_MATRICES,
     ONE,
@@ -27,6 +29,7 @@ from extremes.cases import (
     exp,
     kept,
     mul,
+    of_matrices,
     propagate,
     rounding,
     share,
@@ -45,7 +48,8 @@ def truncation_of_body(case: Case, inertia: Array, w: Array, h: float) -> Array:
     if case.record.sorted_axes:
         # a commutator has both rotors' angles; the others of its factors may be either's
         grows = (grows**2 * turn_of_body(inertia, w, h) ** (order - 2)) ** (1.0 / order)
-    return theta * share(OF_BODIES, case.method, order, grows)
+    known = of_matrices(case, OF_BODIES, OF_BODIES_IN_MATRICES)
+    return theta * share(known, case.method, order, grows)
 
 
 # free bodies
@@ -253,45 +257,62 @@ def damping(x: float) -> Column:
     return Column(f"{x:g}", run, takes_torques)
 
 
-def pendulum(x: float) -> Column:
+# moments, and the axis of the swing, that of the least or largest; the weight hangs along −e3
+PENDULA = np.array([[0.6, 0.8, 1.0], [0.6, 1.0, 0.8], [1.0, 0.6, 0.8], [0.8, 1.0, 0.6]])
+SWING = np.array([0, 1, 0, 1])
+
+
+class Swing(NamedTuple):
+    """Error of each body, status, and error that a step's may become: a number for each of its."""
+
+    error: Array
+    status: NDArray[np.uint8]
+    frequency: Array
+    turn: Array
+
+    @property
+    def along(self) -> Array:
+        """An error of the frequency grows with time: the phase's with its square."""
+        return np.asarray(1.0 + TORQUED_STEPS * self.frequency)
+
+
+def swing(case: Case, x: float) -> Swing:
     """A weight that swings 90° to each side, frequency times step x: Jacobi's functions."""
-    inertia = np.array([[0.6, 0.8, 1.0], [0.6, 1.0, 0.8], [1.0, 0.6, 0.8], [0.8, 1.0, 0.6]])
-    # of the swing, that of the least or largest moment; the weight hangs along −e3
-    axis = np.array([0, 1, 0, 1])
     k = math.sin(math.radians(45.0))
+    rows = single(PENDULA)
+    each = np.arange(len(rows))
+    moment = rows[each, SWING]
+    arm = np.tile([0.0, 0.0, -1.0], (len(rows), 1))
+    weight = single(moment * x * x)
+    frequency = np.sqrt(weight / moment)
+    w0 = np.zeros((len(rows), 3))
+    w0[each, SWING] = single(2.0 * k * frequency)
+    modulus = w0[each, SWING] / (2.0 * frequency)
+    scene = torqued(rows, np.zeros(len(rows)), weight, arm)
+    q0 = np.tile(ONE, (len(rows), 1))
+    error, turn = np.zeros(len(rows)), np.abs(w0).max(axis=1)
+    got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
+    for s, t in enumerate(got.t):
+        sn, cn, dn, _ = scipy.special.ellipj(frequency * t, modulus**2)
+        half = np.arctan2(modulus * sn, dn)
+        turned = np.zeros((len(rows), 3))
+        turned[each, SWING] = 2.0 * half
+        speed = np.zeros((len(rows), 3))
+        speed[each, SWING] = 2.0 * modulus * frequency * cn
+        off = np.linalg.norm(np.asarray(got.w[s], float) - speed, axis=1) / turn
+        error = np.maximum(error, np.maximum(off, angle(got.q[s], exp(turned))))
+    return Swing(error, got.status, frequency, turn)
+
+
+def pendulum(x: float) -> Column:
+    """A weight on a pendulum, and what its steps may err by."""
 
     def run(case: Case) -> Outcome:
-        rows = single(inertia)
-        n = len(rows)
-        moment = rows[np.arange(n), axis]
-        arm = np.tile([0.0, 0.0, -1.0], (n, 1))
-        weight = single(moment * x * x)
-        frequency = np.sqrt(weight / moment)
-        w0 = np.zeros((n, 3))
-        w0[np.arange(n), axis] = single(2.0 * k * frequency)
-        modulus = w0[np.arange(n), axis] / (2.0 * frequency)
-        scene = torqued(rows, np.zeros(n), weight, arm)
-        q0 = np.tile(ONE, (n, 1))
-        error, turn = np.zeros(n), np.abs(w0).max(axis=1)
-        got = propagate(case, scene, q0, w0, dt=1.0, n_steps=TORQUED_STEPS, save_every=1)
-        for s, t in enumerate(got.t):
-            sn, cn, dn, _ = scipy.special.ellipj(frequency * t, modulus**2)
-            half = np.arctan2(modulus * sn, dn)
-            turned = np.zeros((n, 3))
-            turned[np.arange(n), axis] = 2.0 * half
-            speed = np.zeros((n, 3))
-            speed[np.arange(n), axis] = 2.0 * modulus * frequency * cn
-            off = np.linalg.norm(np.asarray(got.w[s], float) - speed, axis=1) / turn
-            error = np.maximum(error, np.maximum(off, angle(got.q[s], exp(turned))))
-        known = OF_PENDULA
-        if case.representation.startswith("dcm"):
-            known = OF_PENDULA | OF_PENDULA_IN_MATRICES
-        step = share(known, case.method, case.record.order_of("torqued"), turn)
-        # an error of the frequency grows with time: the phase's with its square
-        along = 1.0 + TORQUED_STEPS * frequency
-        own = rounding(case, TORQUED_STEPS, TORQUED_STEPS * turn)
-        allowed = along * (TORQUED_STEPS * step + own)
-        return Outcome(error, allowed, got.status)
+        of = swing(case, x)
+        known = of_matrices(case, OF_PENDULA, OF_PENDULA_IN_MATRICES)
+        step = share(known, case.method, case.record.order_of("torqued"), of.turn)
+        own = rounding(case, TORQUED_STEPS, TORQUED_STEPS * of.turn)
+        return Outcome(of.error, of.along * (TORQUED_STEPS * step + own), of.status)
 
     return Column(f"{x:g}", run, takes_torques)
 

@@ -22,21 +22,22 @@ ROUNDINGS = 16.0
 # Error of a step, rad a rad turned, over measure^order: twice the worst below the limit of cones
 # with half angles of 0.5, 1 and 2 rad, and of free bodies that can exist. The measure is the turn θ
 # in a step, or what the method's limit is of; of splittings, whose limit is of g, it is
-# (g² θ^(order−2))^(1/order).
+# (g² θ^(order−2))^(1/order). `python bench/extremes_page.py --coefficients METHOD` measures them.
 OF_CONES = {
     "lie_euler": 2.0, "lie_midpoint": 0.4, "rk4": 0.035, "magnus4": 0.035, "magnus6": 4e-3,
-    "cf4": 0.011, "rkmk4": 0.023, "cg3": 0.11,
+    "magnus8": 4e-4, "gauss12": 3e-7, "cf4": 0.011, "rkmk4": 0.023, "cg3": 0.11,
 }  # fmt: skip
 OF_BODIES = {
-    "rk4": 0.017, "cf4": 0.017, "rkmk4": 0.017, "rk8": 4e-7, "strang2": 0.33, "kahan_li8": 1.1e-5,
-    "dmv2": 0.44, "dmv10": 4e-8,
-}  # fmt: skip
-OF_PENDULA = {
-    "rk4": 3e-4, "cf4": 3e-4, "rkmk4": 3e-4, "rk8": 1.2e-8, "strang2": 1.5e-3,
-    "kahan_li8": 8e-9,
+    "rk4": 0.017, "cf4": 0.017, "rkmk4": 0.017, "rk8": 4.5e-7, "rk9": 1.7e-7, "gbs16": 1.2e-13,
+    "strang2": 0.33, "kahan_li8": 1.1e-5, "dmv2": 0.44, "dmv10": 4e-8,
 }  # fmt: skip
 # a matrix turns by the angle, a quaternion by half of it
-OF_PENDULA_IN_MATRICES = {"rk8": 2.8e-7}
+OF_BODIES_IN_MATRICES = {"rk4": 0.024, "rk8": 1.6e-6, "rk9": 7e-7}
+OF_PENDULA = {
+    "rk4": 3e-4, "cf4": 3e-4, "rkmk4": 3e-4, "rk8": 1.2e-8, "rk9": 7e-9, "gbs16": 1.1e-15,
+    "strang2": 1.5e-3, "kahan_li8": 8e-9,
+}  # fmt: skip
+OF_PENDULA_IN_MATRICES = {"rk8": 2.8e-7, "rk9": 9.5e-8, "gbs16": 4e-14}
 OF_RATES = {
     "hold": 2.0, "trapezoid": 0.8, "previous": 0.5, "coning2": 6.0, "picard": 500.0,
 }  # fmt: skip
@@ -157,8 +158,20 @@ def kept(function: Callable[..., Any]) -> Callable[..., Any]:
 def share(coefficients: Mapping[str, float], method: str, order: int, grows: Array) -> Array:
     """Error, rad a rad turned, that a step of status 0 may have: at most the limits' promise."""
     # the closed form is of order 0 and makes no steps
-    power = np.minimum(grows, 10.0) ** order if order else 0.0 * grows
-    return np.asarray(np.minimum(PROMISE, coefficients.get(method, 1e9) * power))
+    power = np.minimum(grows, 10.0) ** order
+    if order and method not in coefficients:
+        raise LookupError(
+            f"{method}: the tables of tests/extremes/cases.py need its coefficients, which "
+            f"`python bench/extremes_page.py --coefficients {method}` prints"
+        )
+    return np.asarray(np.minimum(PROMISE, coefficients.get(method, 0.0) * power))
+
+
+def of_matrices(
+    case: Case, known: Mapping[str, float], differ: Mapping[str, float]
+) -> Mapping[str, float]:
+    """Coefficients, with those that differ on direction cosines, which turn by the whole angle."""
+    return {**known, **differ} if case.representation.startswith("dcm") else known
 
 
 def truncation(case: Case, theta: Array) -> Array:

@@ -342,7 +342,17 @@ def test_damping_that_splittings_take_exactly_is_the_torques(name):
     t, q, w = next(iter(states()))
     values = [found_torque(model, "quat", t, q, w + d, None) for d in displaced(3, 0.1)]
     assert close(np.diag(rates * INERTIA), -derivative(np.array(values), 0.1)) < 100 * EPS
-    assert torque_record.fastest_decay(model, INERTIA) >= max(rates)
+
+
+@each("name", MODELS)
+def test_first_steps_know_the_linear_damping_of_each_model(name):
+    """That of small rates, as an optional method of the model bounds it."""
+    model = MODELS[name][0]
+    t, q, _ = next(iter(states()))
+    values = [found_torque(model, "quat", t, q, d, None) for d in displaced(3, 1e-6)]
+    slope = derivative(np.array(values), 1e-6)
+    fastest = -np.linalg.eigvalsh(0.5 * (slope + slope.T)).min() / INERTIA.min()
+    assert torque_record.fastest_decay(model, INERTIA) >= fastest - 1e-5
 
 
 @njit
