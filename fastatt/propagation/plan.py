@@ -227,10 +227,14 @@ class Plan:
         for first, end in output.batches:
             results = output.results._replace(saves=output.results.saves[: end - first])
             since = self.schedule.at[0][first:end]
-            is_warned |= closed_run.evaluate(
-                self.scene, self.attitude, start, since, n_threads, results
-            )
-            output.hand_out(first, end)
+            try:
+                is_warned |= closed_run.evaluate(
+                    self.scene, self.attitude, start, since, n_threads, results
+                )
+                output.hand_out(first, end)
+            except KeyboardInterrupt:
+                output.results.leave()
+                raise InterruptedRun(output.so_far()) from None
         return is_warned
 
     def _step(
