@@ -20,36 +20,36 @@ _SHORTEST, _LONGEST = 1e-100, 1e100
 def at_least_zero(name: str, value: float) -> float:
     """A number of at least 0, such as a noise density."""
     # for a float this check takes a tenth of the time
-    found = value if type(value) is float else checks.real(name, value)
-    if not 0.0 <= found <= _LARGEST:
-        raise ValueError(f"{name}: found {found}; accepted: at least 0, up to {_LARGEST:g}")
-    return found
+    number = value if type(value) is float else checks.real(name, value)
+    if not 0.0 <= number <= _LARGEST:
+        raise ValueError(f"{name}: found {number}; accepted: at least 0, up to {_LARGEST:g}")
+    return number
 
 
 def variance(name: str, deviation: float) -> float:
     """The square of a standard deviation above 0."""
-    found = checks.above_zero(name, deviation)
-    if not _SMALLEST <= found <= _LARGEST:
-        raise ValueError(f"{name}: found {found}; accepted: {_SMALLEST:g} to {_LARGEST:g}")
-    return found**2
+    sigma = checks.above_zero(name, deviation)
+    if not _SMALLEST <= sigma <= _LARGEST:
+        raise ValueError(f"{name}: found {sigma}; accepted: {_SMALLEST:g} to {_LARGEST:g}")
+    return sigma**2
 
 
 def interval(dt: float) -> float:
     """An interval, s, above 0."""
-    found = dt if type(dt) is float else checks.real("dt", dt)
-    if not _SHORTEST <= found <= _LONGEST:
+    seconds = dt if type(dt) is float else checks.real("dt", dt)
+    if not _SHORTEST <= seconds <= _LONGEST:
         raise ValueError(
-            f"dt: found {found}; accepted: an interval above 0, {_SHORTEST:g} to {_LONGEST:g}"
+            f"dt: found {seconds}; accepted: an interval above 0, {_SHORTEST:g} to {_LONGEST:g}"
         )
-    return found
+    return seconds
 
 
 def common_number(of: str, **arrays: Sized) -> int:
     """The number of rows of all arrays, one row counting for any number of them."""
     rows = {name: len(value) for name, value in arrays.items()}
     if len(set(rows.values()) - {1}) > 1:
-        found = ", ".join(f"{name} {n}" for name, n in rows.items())
-        raise ValueError(f"{next(iter(rows))}: found rows {found}; accepted: one number of {of}")
+        counts = ", ".join(f"{name} {n}" for name, n in rows.items())
+        raise ValueError(f"{next(iter(rows))}: found rows {counts}; accepted: one number of {of}")
     return max(rows.values(), default=1)
 
 
@@ -65,23 +65,23 @@ def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
     ``shapes`` are those of ``checks.array``. Correlations are compared, so that units do not
     matter.
     """
-    found = checks.array(name, value, shapes)
-    least = _ROUNDING * np.finfo(found.dtype).eps
-    variances = np.diagonal(found, axis1=-2, axis2=-1)
+    matrices = checks.array(name, value, shapes)
+    least = _ROUNDING * np.finfo(matrices.dtype).eps
+    variances = np.diagonal(matrices, axis1=-2, axis2=-1)
     deviations = np.sqrt(np.maximum(variances, 0.0))
     scale = deviations[..., :, None] * deviations[..., None, :]
-    even = 0.5 * (found + np.swapaxes(found, -1, -2))
-    bad = (np.abs(found - even) > max(_ASYMMETRY, least) * scale).any(axis=(-2, -1))
+    even = 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
+    bad = (np.abs(matrices - even) > max(_ASYMMETRY, least) * scale).any(axis=(-2, -1))
     what = "is not symmetric"
     if not bad.any():
         bad = (variances < 0.0).any(axis=-1) | (np.abs(even) > (1.0 + least) * scale).any((-2, -1))
         what = "has a negative variance"
     if not bad.any():
         there = np.where(scale > 0.0, scale, 1.0)
-        correlations = even / there + least * np.eye(found.shape[-1])
+        correlations = even / there + least * np.eye(matrices.shape[-1])
         bad = np.linalg.eigvalsh(correlations)[..., 0] < 0.0
     if bad.any():
-        where = f"[{int(np.argmax(bad))}]" if found.ndim == 3 else ""
+        where = f"[{int(np.argmax(bad))}]" if matrices.ndim == 3 else ""
         raise ValueError(f"{name}{where}: {what}; accepted: a covariance")
     return even
 
@@ -92,14 +92,14 @@ def root(P: NDArray[Any]) -> NDArray[np.float64]:
     NaN if P is not a covariance.
     """
     size = P.shape[-1]
-    found = np.zeros(P.shape)
+    lower = np.zeros(P.shape)
     for k in range(size):
-        column = P[..., k:, k] - (found[..., k:, :k] @ found[..., k, :k, None])[..., 0]
+        column = P[..., k:, k] - (lower[..., k:, :k] @ lower[..., k, :k, None])[..., 0]
         share = column[..., :1] / np.where(P[..., k, k, None] > 0.0, P[..., k, k, None], 1.0)
         none = (share >= _NEGATIVE) & (share <= 16.0 * size * np.finfo(np.float64).eps)
         with np.errstate(invalid="ignore"):
-            found[..., k:, k] = column / np.sqrt(np.where(none, np.inf, column[..., :1]))
-    return found
+            lower[..., k:, k] = column / np.sqrt(np.where(none, np.inf, column[..., :1]))
+    return lower
 
 
 def triples(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
@@ -110,23 +110,25 @@ def triples(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
 
 def attitude_covariance(sigma: ArrayLike) -> NDArray[np.float64]:
     """(3, 3), rad², from a standard deviation or three about body axes, or a covariance."""
-    found = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
-    if found.ndim < 2:
-        return np.diag(np.broadcast_to([variance("sigma", float(x)) for x in found.flat], (3,)))
-    return definite("sigma", found, "(3, 3)")
+    deviations = checks.array("sigma", sigma, "a number, (3,) or (3, 3)")
+    if deviations.ndim < 2:
+        return np.diag(
+            np.broadcast_to([variance("sigma", float(x)) for x in deviations.flat], (3,))
+        )
+    return definite("sigma", deviations, "(3, 3)")
 
 
 def definite(name: str, value: ArrayLike, shapes: str) -> NDArray[np.float64]:
     """Covariances with some variance in every direction, float64."""
-    found = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
-    if (np.diagonal(root(found), axis1=-2, axis2=-1) == 0.0).any():
+    matrices = np.ascontiguousarray(covariances(name, value, shapes), dtype=np.float64)
+    if (np.diagonal(root(matrices), axis1=-2, axis2=-1) == 0.0).any():
         raise ValueError(f"{name}: has no variance in some direction; accepted: some in all")
-    return found
+    return matrices
 
 
 def largest_square(gate: float | None) -> float:
     """The largest normalised innovation squared that is used; None accepts any finite one."""
     if gate is None:
         return sys.float_info.max
-    found = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
-    return min(found, sys.float_info.max)
+    square = checks.above_zero("gate", gate, "a number above 0, or None", finite=False)
+    return min(square, sys.float_info.max)

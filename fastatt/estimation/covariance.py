@@ -52,8 +52,8 @@ def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
     """Apply a formula to arrays (..., width), or numbers (), by name: (..., side, side)."""
     inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
     precision = precision_of(np.result_type(*arrays.values()))
-    (found,) = rows(formula, inputs, (side * side,), precision)(*arrays.values())
-    return found.reshape(*found.shape[:-1], side, side)
+    (flat,) = rows(formula, inputs, (side * side,), precision)(*arrays.values())
+    return flat.reshape(*flat.shape[:-1], side, side)
 
 
 def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
@@ -61,8 +61,8 @@ def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
 
 
 def _covariances(covariance: ArrayLike) -> NDArray[Any]:
-    found = covariances("covariance", covariance, "(6, 6) or (N, 6, 6)")
-    return found.reshape(*found.shape[:-2], 36)
+    matrices = covariances("covariance", covariance, "(6, 6) or (N, 6, 6)")
+    return matrices.reshape(*matrices.shape[:-2], 36)
 
 
 def _over(
@@ -74,14 +74,14 @@ def _over(
 ) -> NDArray[Any]:
     """Apply a formula to rates over ``dt`` s, with noise densities and covariances, if any."""
     rates = _vectors("w", w)
-    given = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
+    inputs = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
     if densities:
-        variances = [at_least_zero(*found) ** 2 for found in densities.items()]
-        given["v"] = np.array(variances, dtype=rates.dtype)
+        variances = [at_least_zero(*density) ** 2 for density in densities.items()]
+        inputs["v"] = np.array(variances, dtype=rates.dtype)
     if covariance is not None:
-        given["p"] = covariance
+        inputs["p"] = covariance
         _same_rows(covariance=covariance, w=rates)
-    return _apply(formula, 6, **given)
+    return _apply(formula, 6, **inputs)
 
 
 def _same_rows(**arrays: NDArray[Any]) -> None:

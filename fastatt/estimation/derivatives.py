@@ -344,8 +344,8 @@ def body_tangent(
             order = axis_order(np.atleast_2d(scene.principal.moments))
             places = np.broadcast_to(np.argsort(order, axis=-1)[:, None], inertia.shape)
             inertia = np.take_along_axis(inertia, places, axis=2)
-    found: tuple[Any, ...] = (*moved, full[:, :6, :6], inertia, torque)
-    return BodyTangent(*(x if x is None or not one else x[0] for x in found))
+    results: tuple[Any, ...] = (*moved, full[:, :6, :6], inertia, torque)
+    return BodyTangent(*(x if x is None or not one else x[0] for x in results))
 
 
 def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTangent:
@@ -390,9 +390,9 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     record, packed = _of_rate(scene, named) if of_rate else of_body(scene, method)
     structure, tables = packed.structure.rotation, packed.tables
     # compiled once for all scenes that differ in their numbers only
-    made = _step_function(record, structure, tables) if tables else _kept(record, structure)
+    step = _step_function(record, structure, tables) if tables else _kept(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
-    return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, made)
+    return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, step)
 
 
 def _step_function(record: Method, structure: Any, tables: Mapping[int, Any] | None = None) -> Any:

@@ -65,25 +65,25 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
 
 
 def _not_zero(name: str, q: ArrayLike) -> Floats:
-    found = floats(name, q, (4,)).astype(np.float64)
-    if not found.any(axis=-1).all():
+    attitudes = floats(name, q, (4,)).astype(np.float64)
+    if not attitudes.any(axis=-1).all():
         raise ValueError(f"{name}: found a zero quaternion; accepted: of any other length")
-    return found
+    return attitudes
 
 
 def normalised_square(d: Floats, P: Floats) -> Floats:
     """dᵀ P⁻¹ d of rows d (..., D) and covariances (..., D, D), as ``|L⁻¹ d|²``."""
     L, size = root(P), d.shape[-1]
-    found = np.zeros(np.broadcast_shapes(d.shape[:-1], P.shape[:-2]))
-    left = np.array(np.broadcast_to(d, (*found.shape, size)))
+    squares = np.zeros(np.broadcast_shapes(d.shape[:-1], P.shape[:-2]))
+    left = np.array(np.broadcast_to(d, (*squares.shape, size)))
     for k in range(size):
         x, pivot = left[..., k], L[..., k, k]
-        u = np.divide(x, pivot, where=pivot != 0.0, out=np.zeros(found.shape))
+        u = np.divide(x, pivot, where=pivot != 0.0, out=np.zeros(squares.shape))
         # without variance the result is 0 or infinite
         with np.errstate(over="ignore"):
-            found += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
+            squares += np.where((pivot == 0.0) & (x != 0.0), np.inf, u * u)
         left -= L[..., :, k] * u[..., None]
-    return found
+    return squares
 
 
 def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
@@ -137,8 +137,8 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     values, vectors = np.linalg.eigh(np.swapaxes(weighted, -1, -2) @ rows)
     if (values[..., -1] - values[..., -2] <= 1e-14 * values[..., -1]).any():
         raise ValueError("q: has no one mean; accepted: attitudes that do not weigh each other out")
-    found = vectors[..., -1]
-    return np.asarray(np.where(found[..., :1] < 0.0, -found, found))
+    mean = vectors[..., -1]
+    return np.asarray(np.where(mean[..., :1] < 0.0, -mean, mean))
 
 
 def _rows(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
@@ -166,8 +166,8 @@ class Estimates:
         start, size = checks.attitudes("q", q), 3 + y.shape[-1]
         shapes = f"({size}, {size}) or (N, {size}, {size})"
         P = covariances("covariance", covariance, shapes)
-        given = {"q": (start, 1), name: (y, 1), "covariance": (P, 2)}
-        many = {name: x for name, (x, one) in given.items() if x.ndim > one}
+        starts = {"q": (start, 1), name: (y, 1), "covariance": (P, 2)}
+        many = {name: x for name, (x, one) in starts.items() if x.ndim > one}
         n = common_number("filters", **many) if many else 1
         self._one, self._name = not many, name
         # these arrays are changed in place, since calls hold their addresses
@@ -201,15 +201,15 @@ class Estimates:
 
     def _call(self, name: str, own: Floats | None = None) -> _Call:
         """An operation of ``updates``, with an array ``own`` of each filter's numbers."""
-        found = self._calls.get(name)
-        if found is None:
-            n, made = len(self._q), operation(name, self._y.shape[1])
-            own = np.empty((n, made.inputs["own"] or 0)) if own is None else own
-            shared = np.empty((1, made.inputs["shared"] or 0))
+        call = self._calls.get(name)
+        if call is None:
+            n, formula = len(self._q), operation(name, self._y.shape[1])
+            own = np.empty((n, formula.inputs["own"] or 0)) if own is None else own
+            shared = np.empty((1, formula.inputs["shared"] or 0))
             state, figures = [self._q, self._y, self._P.reshape(n, -1)], np.empty((2, n))
-            run = made.bound([*state, own, shared], [*state, *figures][: len(made.outputs)])
-            found = self._calls[name] = _Call(run, own, shared[0], *figures)
-        return found
+            run = formula.bound([*state, own, shared], [*state, *figures][: len(formula.outputs)])
+            call = self._calls[name] = _Call(run, own, shared[0], *figures)
+        return call
 
     def update_vector(
         self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None

@@ -111,10 +111,10 @@ class Preintegration:
 
     def _vectors(self, **given: ArrayLike) -> list[NDArray[Any]]:
         """Vectors (3,) or (N, 3), for one log or each."""
-        found = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
-        rows = {name: np.atleast_2d(x) for name, x in found.items()}
+        vectors = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
+        rows = {name: np.atleast_2d(x) for name, x in vectors.items()}
         common_number("logs", preintegrated=self.rows, **rows)
-        return list(found.values())
+        return list(vectors.values())
 
     def predict(
         self,
@@ -183,8 +183,8 @@ def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
         covariance[:, i, :, j] = block
         covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
     matrices = [x.reshape(n, 3, 3) for x in (slopes, *parts[:4])]
-    found = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
-    return Preintegration(*[*(x[0] if one else x for x in found), rows])
+    results = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
+    return Preintegration(*[*(x[0] if one else x for x in results), rows])
 
 
 def _times(A: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:

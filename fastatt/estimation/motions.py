@@ -145,9 +145,9 @@ def _points(q: ArrayLike, y: ArrayLike, first: str) -> tuple[Floats, Floats]:
 def moved_rows(motion: Motion, q: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Checked results of a motion: unit quaternions (M, 4) and auxiliary states (M, K)."""
     accepted = "a function motion(q, y) -> (q, y)"
-    found: Any = checks.function("motion", motion, accepted)(q, y)
-    if not isinstance(found, (tuple, list)) or len(found) != 2:
-        raise TypeError(f"motion: returns {checks.brief(found)}; accepted: {accepted}")
-    attitudes = checks.attitudes("motion: q", found[0], f"({len(q)}, 4)")
-    numbers = checks.array("motion: y", found[1], str(y.shape))
+    moved: Any = checks.function("motion", motion, accepted)(q, y)
+    if not isinstance(moved, (tuple, list)) or len(moved) != 2:
+        raise TypeError(f"motion: returns {checks.brief(moved)}; accepted: {accepted}")
+    attitudes = checks.attitudes("motion: q", moved[0], f"({len(q)}, 4)")
+    numbers = checks.array("motion: y", moved[1], str(y.shape))
     return normalised(attitudes), numbers.astype(np.float64)

@@ -41,10 +41,10 @@ class RunTangent:
     @cached_property
     def matrix(self) -> NDArray[Any]:
         """A = Φ_S … Φ_2 Φ_1: (..., D, D)."""
-        found = np.broadcast_to(np.eye(self.steps.shape[-1]), self.steps.shape[1:])
+        product = np.broadcast_to(np.eye(self.steps.shape[-1]), self.steps.shape[1:])
         for step in self.steps:
-            found = step @ found
-        return np.asarray(found[..., : self.size, : self.size])
+            product = step @ product
+        return np.asarray(product[..., : self.size, : self.size])
 
     def tangent(self, before: ArrayLike) -> NDArray[Any]:
         """Change after the run, A x, without computing the matrix A.
@@ -85,8 +85,8 @@ class RunTangent:
     def _change(self, name: str, value: ArrayLike) -> NDArray[Any]:
         whole = self.steps.shape[-1]
         size = self.size or whole
-        found = checks.array(name, value, f"(..., {size})", [(size,), (-1, size)])
-        return np.pad(found, [(0, 0)] * (found.ndim - 1) + [(0, whole - size)])[..., None]
+        change = checks.array(name, value, f"(..., {size})", [(size,), (-1, size)])
+        return np.pad(change, [(0, 0)] * (change.ndim - 1) + [(0, whole - size)])[..., None]
 
 
 def _refuse_parts(scene: Scene, run: Trajectory) -> None:

@@ -126,8 +126,8 @@ class Stepper:
         if len(more) != len(self._carried):
             accepted = ", ".join(("q", *self._carried))
             raise TypeError(f"state: found {1 + len(more)} arguments; accepted: {accepted}")
-        given = zip(self._carried.items(), more, strict=True)
-        y = [self._flat(checks.array(name, value, f"({n},)")) for (name, n), value in given]
+        carried = zip(self._carried.items(), more, strict=True)
+        y = [self._flat(checks.array(name, value, f"({n},)")) for (name, n), value in carried]
         attitude_0 = self._flat(checks.attitudes("q", q, "(4,)"))
         x = self.start(attitude_0, sum(y, ()), self._of(body))
         return _floats(np.array(x, dtype=self._dtype))
@@ -356,8 +356,8 @@ def _functions(job: Job, tables: Mapping[int, NDArray[np.float64]]) -> dict[str,
         check_p(p)
         return to_state(t, s, half_stage * h, y, p, e)
 
-    made = (step, step_and_angle, enter, advance, leave)
-    return {f.__name__: around_formulas(f) for f in (*made, step_into)}
+    functions = (step, step_and_angle, enter, advance, leave)
+    return {f.__name__: around_formulas(f) for f in (*functions, step_into)}
 
 
 def _through(small_angle: Any, any_angle: Any, stages: NDArray[np.float64], job: Job) -> Any:
@@ -376,8 +376,8 @@ def _through(small_angle: Any, any_angle: Any, stages: NDArray[np.float64], job:
     def staged(t, h, y, p, e):
         z = type(y[0])(0.0)
         for i in range(n):
-            share, other, at = stages[i, 0], stages[i, 1], stages[i, 2]
-            y, z = small_angle(t + at * h, (share * h, other * h), y, p, e, z)
+            share, other, place = stages[i, 0], stages[i, 1], stages[i, 2]
+            y, z = small_angle(t + place * h, (share * h, other * h), y, p, e, z)
         return y, z
 
     one_stage = twice if job.has_any_angle_form else once

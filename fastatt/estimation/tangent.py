@@ -98,8 +98,8 @@ def window_tangent(window: Window, *, increments: bool) -> Formula:
     def tangent(v: Vector, h: Vector) -> Any:
         b = seed((0.0, 0.0, 0.0), 3, like=v[0])
         weights = h if increments else (1.0,) * (len(v) // 3)
-        given = [x - b[k % 3] * weights[k // 3] for k, x in enumerate(v)]
-        u = turns(tuple(given), h)
+        rates = [x - b[k % 3] * weights[k // 3] for k, x in enumerate(v)]
+        u = turns(tuple(rates), h)
         ends = [quat.exp(u[k : k + 3]) for k in range(0, len(u), 3)]
         between = [quat.mul(quat.conj(a), b) for a, b in pairwise(ends)]
         return tuple(coupled(q) for q in (ends[0], *between))
@@ -162,8 +162,8 @@ def body_tangent(
         q, m = quat.normalise(value(a)), value(n)
         if not of_rate:
             return q, m, phi
-        own = Body(QUATERNION, structure, p, p[0])
-        return q, along_axes(structure, own.angular_velocity, m, p), phi, z
+        body = Body(QUATERNION, structure, p, p[0])
+        return q, along_axes(structure, body.angular_velocity, m, p), phi, z
 
     def whole(t: Any, h: Any, q: Vector, m: Vector, p: Vector) -> Any:
         motion = moving(p)
@@ -180,8 +180,8 @@ def body_tangent(
         e = () if steps.prepare is None else steps.prepare(motion, h, x)
         if steps.enter is not None:
             x = steps.enter(motion, t, 0.0, share * h, x, e)
-        for part, other, at in method.stages or ((1.0, 1.0, 0.0),):
-            x, z = steps.stage(motion, t + at * h, part * h, other * h, x, e)
+        for part, other, place in method.stages or ((1.0, 1.0, 0.0),):
+            x, z = steps.stage(motion, t + place * h, part * h, other * h, x, e)
             most = larger(value(z), most)
         if steps.leave is not None:
             x = steps.leave(motion, t + h, h, share * h, x, e)
@@ -200,8 +200,8 @@ def differentiated(structure: RigidBody, p: Vector, size: int, first: int) -> Ve
     half = tuple(0.5 / x for x in i)
     mine = list(own_numbers(structure.law))
     numbers = [x for x, is_own in zip(p[end:], mine, strict=True) if is_own]
-    own = iter(seed(numbers, size, first + 3, p[0]))
-    torque = [next(own) if is_own else x for x, is_own in zip(p[end:], mine, strict=True)]
+    seeds = iter(seed(numbers, size, first + 3, p[0]))
+    torque = [next(seeds) if is_own else x for x, is_own in zip(p[end:], mine, strict=True)]
     return (*half, *i, *rigid.gyroscopic_coefficients(i), *p[9:end], *torque)
 
 

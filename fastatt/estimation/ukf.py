@@ -238,9 +238,9 @@ class UKF(Estimates):
         (n, points), size = q.shape[:2], self._P.shape[1]
         rows = n * points
         checks.function("observe", observe, "a function observe(q, y)")
-        made = observe(q.reshape(rows, 4), y.reshape(rows, size - 3))
-        made = checks.array("observe", made, f"({rows}, m)", [(rows, -1)]).astype(np.float64)
-        z = made.reshape(n, points, -1)
+        values = observe(q.reshape(rows, 4), y.reshape(rows, size - 3))
+        values = checks.array("observe", values, f"({rows}, m)", [(rows, -1)]).astype(np.float64)
+        z = values.reshape(n, points, -1)
         m = z.shape[-1]
         added = definite("noise", noise, f"({m}, {m}) or ({n}, {m}, {m})")
         seen = checks.array("measured", measured, f"({m},) or ({n}, {m})", flag=True)

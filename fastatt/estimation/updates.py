@@ -252,8 +252,8 @@ def _joseph(P: Any, d: Any, z: Any, h: Any, r: Any) -> Any:
     rest = [r * gain[i] - dot(h, left[i]) for i in n]
     upper = {(i, j): left[i][j] + rest[i] * gain[j] for i in n for j in n if i <= j}
     x = z - dot(h, d)
-    found = tuple(tuple(upper[min(i, j), max(i, j)] for j in n) for i in n)
-    return found, tuple(a + x * k for a, k in zip(d, gain, strict=True)), inverse * x * x
+    updated = tuple(tuple(upper[min(i, j), max(i, j)] for j in n) for i in n)
+    return updated, tuple(a + x * k for a, k in zip(d, gain, strict=True)), inverse * x * x
 
 
 def _by_three(P: Any, d: Any, z: Any, H: Any, R: Any) -> Any:

@@ -99,7 +99,8 @@ _SENSORS = {
     # specific force: "linear", "user" and "motion" leave out gravity
     "accel": rf"({_BESIDE}){{0,6}}(acc|accels?|acc?eleration|(accelerometer)s?(acceleration)?"
     rf"|specificforce)({_BESIDE}){{0,6}}|arss|a",
-    "mag": rf"({_BESIDE}|motion){{0,6}}(magn?|magnetometer|mag(netic)?field|compass)({_BESIDE}){{0,6}}|m",
+    "mag": rf"({_BESIDE}|motion){{0,6}}(magn?|magnetometer|mag(netic)?field|compass)"
+    rf"({_BESIDE}){{0,6}}|m",
     "like accel": r"(?!.*(ang|gyr)).*acc.*|a",
     "like mag": r".*mag.*|m",
     "unnamed": "",
@@ -109,7 +110,8 @@ _WORDS = {"accel": "accelerometer", "mag": "magnetometer"}
 _NO_RATES = re.compile(r"lsbs?|counts?|raw|digits?|adc|bits?|ticks?|m?g|m/s.*|.*volts?|m?v")
 _IN_BRACKETS = re.compile(r"(?<![ _])[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
-    r"(?<![ _])[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$|[cm]?m[ _/p]*s).*$",
+    r"(?<![ _])[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$"
+    r"|[cm]?m[ _/p]*s).*$",
     re.IGNORECASE,
 )
 _AXIS = re.compile(r"(?P<before>.*)(?P<axis>[\[(][012xyz][\])]|[xyz])", re.IGNORECASE)

@@ -21,8 +21,8 @@ __all__ = ["dcm", "euler313", "quat", "rigid", "so3", "vec3"]
 def __getattr__(name: str) -> Any:
     """A module of kernels, imported when it is first used."""
     if name not in __all__:
-        found = checks.nearest(name, __all__)
-        raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}{found}")
+        near = checks.nearest(name, __all__)
+        raise AttributeError(f"module 'fastatt.kernels' has no attribute {name!r}{near}")
     return importlib.import_module(f"fastatt.kernels.{name}")
 
 

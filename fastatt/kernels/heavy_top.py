@@ -277,9 +277,9 @@ def matched(P0, Q0, W0, P, Q, W):
 
     The larger of P and Q determines its factor, the other one also depends on W.
     """
-    given = times_conj(Q0, P0)
-    found = times_conj(Q, P)
-    x = times_conj(given, found)
+    start = times_conj(Q0, P0)
+    now = times_conj(Q, P)
+    x = times_conj(start, now)
     y = times_conj(W0, W)
     between = direction((x[0] + y[0], x[1] + y[1]))
     larger = P0[0] * P0[0] + P0[1] * P0[1] > Q0[0] * Q0[0] + Q0[1] * Q0[1]

@@ -25,7 +25,7 @@ def _method(
     """A method with exponentials; ``frozen`` has (share of the step, time in it) of each."""
 
     def exponents(w: Any, t: Any, h: Any) -> Any:
-        return tuple(scale(share * h, w(t + at * h)) for share, at in frozen)
+        return tuple(scale(share * h, w(t + node * h)) for share, node in frozen)
 
     n = len(frozen)
     return lie_method(name, order, exponents, turns=turns, rate_calls=n, exponentials=n, **fields)

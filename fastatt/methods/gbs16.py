@@ -31,9 +31,9 @@ def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
     column = _angles if isinstance(motion, Body) else _state
     ends = []
     for n in COLUMNS:
-        end, found = column(motion, t, h, n, start, slopes[0])
+        end, more = column(motion, t, h, n, start, slopes[0])
         ends.append(end)
-        slopes += found
+        slopes += more
     # sums of differences: the rounding of the weights' sum would act in the same way in every step
     d = ends[0]
     for weight, end in zip(_WEIGHTS, ends, strict=True):

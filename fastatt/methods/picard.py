@@ -73,15 +73,15 @@ def _fitted(values: list[Any], instants: Vector) -> list[tuple[Any, Any]]:
     for level in range(1, SPAN + 1):
         for i in range(SPAN, level - 1, -1):
             d[i] = (d[i] - d[i - 1]) / (instants[i] - instants[i - level])
-    found = []
+    columns = []
     for node in NODES:
         p, slope = d[SPAN], 0.0
         for i in reversed(range(SPAN)):
             s = node - instants[i]
             slope = slope * s + p
             p = p * s + d[i]
-        found.append((p, slope))
-    return found
+        columns.append((p, slope))
+    return columns
 
 
 def rates(v: Vector, h: Vector) -> Vector:
@@ -126,11 +126,11 @@ def improve(state: Vector) -> Vector:
 def read(state: Vector) -> Vector:
     """Attitudes at the ends of the intervals, from the Legendre series of the derivative."""
     series = list(zip(*_combined(COEFFICIENTS, _slopes(state)), strict=True))
-    found = []
+    attitudes = []
     for t in (*state[_ATTITUDES:], 1.0):
         q = [dot(_integrals(t), axis) for axis in series]
-        found.append(quat.normalise((1.0 + q[0], *q[1:])))
-    return _flat(found)
+        attitudes.append(quat.normalise((1.0 + q[0], *q[1:])))
+    return _flat(attitudes)
 
 
 def _integrals(t: Any) -> Vector:

@@ -135,10 +135,10 @@ def _check_order(tableau: Tableau) -> None:
 
     for n in range(1, min(tableau.order, _CHECKED) + 1):
         for tree in trees(n):
-            found, wanted = float(b @ of_stages(tree)), 1.0 / density(tree)
-            if abs(found - wanted) > _CLOSE * size**2:
+            weight, wanted = float(b @ of_stages(tree)), 1.0 / density(tree)
+            if abs(weight - wanted) > _CLOSE * size**2:
                 raise ValueError(
-                    f"a, b: a condition of order {n} gives {found:.15g}, not {wanted:.15g}; "
+                    f"a, b: a condition of order {n} gives {weight:.15g}, not {wanted:.15g}; "
                     f"accepted: a tableau of order {tableau.order}, or a lower order declared"
                 )
 
@@ -148,12 +148,12 @@ def trees(n: int) -> tuple[Any, ...]:
     """Rooted trees of n nodes; a tree is the sorted tuple of its root's branches."""
     if n == 1:
         return ((),)
-    found = set()
+    grown = set()
     for k in range(1, n):
         for rest in trees(n - k):
             for branch in trees(k):
-                found.add(tuple(sorted((*rest, branch))))
-    return tuple(sorted(found))
+                grown.add(tuple(sorted((*rest, branch))))
+    return tuple(sorted(grown))
 
 
 def nodes(tree: Any) -> int:

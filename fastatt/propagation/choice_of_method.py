@@ -151,8 +151,8 @@ def method_of(
     return record
 
 
-def _refused(name: str, found: object, accepted: list[str], reason: str = "") -> ValueError:
-    found = checks.brief(found)
+def _refused(name: str, value: object, accepted: list[str], reason: str = "") -> ValueError:
+    found = checks.brief(value)
     return ValueError(f"{name}: found {found}; accepted: {', '.join(accepted)}{reason}")
 
 

@@ -204,8 +204,8 @@ class Plan:
         times = self._times(t0)
         history = None if file is None else History(file, shape, self.dtype, times)
         arrays = partial(Results.empty, shape[1:], self.dtype, len(self.choice.events))
-        made = partial(self._trajectory, one_body=start.one_body)
-        output, end = Output(schedule, times, arrays, made, (on_save, history)), None
+        trajectory = partial(self._trajectory, one_body=start.one_body)
+        output, end = Output(schedule, times, arrays, trajectory, (on_save, history)), None
         is_warned = False
         with closing(output), progress_bar(progress, *output.length) as output.done:
             if self.program is None:

@@ -177,14 +177,14 @@ def schedule_of(
         if is_whole.all():
             end = None
             duration = duration if sizes.size > 1 else float(counts[0] * sizes[0])
-    at = None
+    places = None
     if save_at is not None:
         if not math.isfinite(t0 + duration):
             raise ValueError(f"dt: the run overflows at {t0} + {duration} s; accepted: shorter")
         save_at = _times(save_at, t0 + done * float(sizes[0]), t0 + duration)
-        at = save_at - t0, 16.0 * _EPS * (np.abs(save_at) + abs(t0))
+        places = save_at - t0, 16.0 * _EPS * (np.abs(save_at) + abs(t0))
     n_steps = int(counts.max()) - done
-    return Schedule(sizes, n_steps, duration, slack, save_every, save_at, at, done, end)
+    return Schedule(sizes, n_steps, duration, slack, save_every, save_at, places, done, end)
 
 
 def whole_steps(duration: Any, dt: Any, slack: float) -> tuple[Any, Any]:

@@ -368,9 +368,9 @@ class Scene:
             model = forces.Constant(model)
         elif callable(model):
             model = forces.Custom(model)
-        given = {"tables": packed.tables, "states": packed.structure.rotation.law.states}
-        given["shown"] = models.shown_in(self.torque)
-        force = models.pack(model, forces.Force, n_bodies, **given)
+        context = {"tables": packed.tables, "states": packed.structure.rotation.law.states}
+        context["shown"] = models.shown_in(self.torque)
+        force = models.pack(model, forces.Force, n_bodies, **context)
         columns = [packed.params, 1.0 / mass[..., None], mass[..., None], force.params]
         structure = packed.structure._replace(force=force.structure)
         structure = structure._replace(position=position or structure.reads_position)
