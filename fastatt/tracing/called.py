@@ -20,9 +20,9 @@ import numpy as np
 from numba import cfunc, types
 
 from fastatt._jit import checked
-from fastatt._numba import CPUDispatcher
 from fastatt.tracing import frozen
 from fastatt.tracing.nodes import TraceError
+from fastatt.tracing.replacements import NAMES
 
 if TYPE_CHECKING:
     from fastatt.tracing.user import UserFunction
@@ -38,24 +38,24 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
 
     ``within`` are the functions around it. Raises ``TraceError`` for what Numba does not know.
     """
-    if value is None or isinstance(value, (bool, int, float, str)):
+    # subclasses may have operators of their own
+    if value is None or type(value) in (bool, int, float, str):
         return value
-    if isinstance(value, (np.ndarray, np.generic)):
+    if type(value) is np.ndarray or isinstance(value, np.generic):
         return "array", value.shape, value.dtype.str, value.tobytes()
-    if isinstance(value, (tuple, list)):
+    if type(value) in (tuple, list):
         return "tuple", *(portable(x, within) for x in value)
-    if value in (math, np, np.linalg):
+    if value is math or value is np or value is np.linalg:
         return "module", value.__name__
-    plain, name = getattr(value, "py_func", value), getattr(value, "__name__", "")
-    for module in (math, np):
-        if callable(value) and getattr(module, name, None) is value:
-            return "module", module.__name__, name
-    if isinstance(value, CPUDispatcher) and plain.__module__.startswith("fastatt."):
-        return "module", plain.__module__, name
-    if plain in within:
-        raise TraceError(f"recursion of {name}")
+    if id(value) in NAMES:
+        return "module", *NAMES[id(value)]
+    plain = frozen.plain(value)
     if not isinstance(plain, python.FunctionType):
         raise TraceError(f"a {type(value).__name__}, which numba.njit does not compile")
+    if plain is not value and plain.__module__.startswith("fastatt."):
+        return "module", plain.__module__, plain.__name__
+    if any(plain is x for x in within):
+        raise TraceError(f"recursion of {plain.__name__}")
     frozen.check(plain, texts=True)
     code, scope, within = plain.__code__, plain.__globals__, (*within, plain)
     names = sorted(frozen.names_of(code))
@@ -69,8 +69,8 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
 class _Maker:
     """Compiles what ``portable`` gives."""
 
-    def __init__(self, *, compiles: bool = True) -> None:
-        self.compiles, self.dispatchers = compiles, list[Any]()
+    def __init__(self) -> None:
+        self.dispatchers = list[Any]()
 
     def __call__(self, value: Any) -> Any:
         if not isinstance(value, tuple):
@@ -86,24 +86,17 @@ class _Maker:
         return found if shape else found[()]
 
     def _module(self, name: str, *attribute: str) -> Any:
-        is_math = self.compiles and name == "math"
-        found: Any = _mathematics() if is_math else import_module(name)
+        found: Any = _mathematics() if name == "math" else import_module(name)
         return getattr(found, attribute[0]) if attribute else found
 
     def _function(self, code: bytes, values: Any, cells: Any, defaults: Any) -> Any:
         read = marshal.loads(code)
-        scope = {"int": _whole(int)} if self.compiles else {}
-        scope |= {"__builtins__": __builtins__} | {k: self(x) for k, x in values}
+        scope = {"int": _whole(int), "__builtins__": __builtins__}
+        scope |= {k: self(x) for k, x in values}
         inner = tuple(python.CellType(self(x)) for x in cells)
         made = python.FunctionType(read, scope, read.co_name, self(defaults), inner)
-        if self.compiles:
-            self.dispatchers.append(checked(made))
-        return self.dispatchers[-1] if self.compiles else made
-
-
-def in_python(code: Any) -> Any:
-    """A function as Python runs it, with the jitted functions that it calls in Python too."""
-    return _Maker(compiles=False)(code)
+        self.dispatchers.append(checked(made))
+        return self.dispatchers[-1]
 
 
 def _whole(convert: Callable[[Any], Any]) -> Any:

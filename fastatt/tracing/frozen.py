@@ -16,9 +16,10 @@ import inspect
 import linecache
 import types
 from collections.abc import Callable, Iterator
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn
 
 import numpy as np
+from numba.extending import is_jitted
 
 from fastatt.tracing.nodes import RefusedError, TraceError
 
@@ -63,11 +64,18 @@ def place(file: str, line: int) -> str:
     return f"{file}:{line}{f': {text}' if text else ''}"
 
 
+def plain(function: Any) -> Any:
+    """The function, and of a jitted one that which Numba compiles."""
+    return function.py_func if is_jitted(function) else function
+
+
 def inner_of(function: Any) -> Any:
     """The Python function of a partial, a method, a jitted function or an object with __call__."""
-    for name in ("py_func", "func", "__func__"):
-        if hasattr(function, name):
-            return inner_of(getattr(function, name))
+    function = plain(function)
+    if isinstance(function, functools.partial):
+        return inner_of(function.func)
+    if isinstance(function, types.MethodType):
+        return inner_of(function.__func__)
     call = inspect.getattr_static(type(function), "__call__", None)
     return call if isinstance(call, types.FunctionType) else function
 
@@ -75,7 +83,7 @@ def inner_of(function: Any) -> Any:
 def signature_of(function: Any) -> inspect.Signature:
     """The arguments of a function; none of one that does not tell them."""
     try:
-        return inspect.signature(getattr(function, "py_func", function))
+        return inspect.signature(plain(function))
     except (TypeError, ValueError):
         return inspect.Signature()
 
@@ -227,18 +235,17 @@ class Freezer:
     """Makes frozen values; one object stays one.
 
     ``known`` replaces values of libraries, ``scope`` are names of all frozen functions, and
-    ``code`` gives the code of a function. ``jitted`` says whether Numba compiled one.
+    ``code`` gives the code of a function.
     """
 
     def __init__(self, known: Callable[..., Any], scope: Any, code: Callable[..., Any]) -> None:
         self._known, self._scope, self._code = known, scope, code
         self._made: dict[int, tuple[Any, Any]] = {}
-        self.jitted = False
 
     def __call__(self, value: Any) -> Any:
         """The frozen value."""
-        if value is None or isinstance(value, (bool, int, float, complex, str, enum.Enum)):
-            return cast(Any, value).item() if hasattr(value, "dtype") else value
+        if value is None or type(value) in _CONSTANTS or isinstance(value, enum.Enum):
+            return value
         if id(value) not in self._made:
             self._made[id(value)] = self._frozen(value), value  # it is kept alive
         return self._made[id(value)][0]
@@ -246,14 +253,14 @@ class Freezer:
     def _frozen(self, value: Any) -> Any:
         if is_source(value):
             raise RefusedError(f"{value!r:.60}, which may differ from call to call")
-        is_jitted = hasattr(value, "py_func")
-        self.jitted |= is_jitted
         if (known := self._known(value)) is not None:
             return known
-        if is_jitted:
-            return self.function(value.py_func)
-        if isinstance(value, types.FunctionType):
-            return self.function(value)
+        if isinstance(plain(value), types.FunctionType):
+            return self.function(plain(value))
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, (int, float, complex, str)):
+            return value
         if isinstance(value, tuple):
             made = [self(x) for x in value]
             return type(value)(*made) if hasattr(value, "_fields") else tuple(made)
@@ -277,11 +284,10 @@ class Freezer:
 
     def function(self, function: types.FunctionType) -> Any:
         """The function with frozen globals, closure and defaults."""
-        if str(function.__module__).partition(".")[0] in ("numpy", "numba", "scipy"):
+        if _is_library(function):
             return unknown(function)
         if id(function) in self._made:
             return self._made[id(function)][0]
-        check(function, texts=False)
         scope = {**self._scope, "__name__": function.__module__}
         cells = tuple(types.CellType() for _ in function.__code__.co_freevars)
         made = types.FunctionType(self._code(function), scope, function.__name__, None, cells)
@@ -299,6 +305,22 @@ class Freezer:
         return made
 
 
+def in_python(function: Any) -> Any:
+    """The user's own function, of which jitted functions run in Python; other values stay."""
+    kinds = (types.FunctionType, types.MethodType, types.ModuleType, functools.partial)
+
+    def known(value: Any) -> Any:
+        return None if isinstance(plain(value), kinds) and not _is_library(value) else value
+
+    return Freezer(known, {"__builtins__": builtins}, lambda x: x.__code__)(function)
+
+
+def _is_library(value: Any) -> bool:
+    name = value.__name__ if isinstance(value, types.ModuleType) else value.__module__
+    return str(name).partition(".")[0] in ("numpy", "numba", "scipy")
+
+
+_CONSTANTS = (bool, int, float, complex, str)
 _CLASSES = (bool, int, float, complex, str, list, tuple, dict, set, frozenset, np.ndarray, object)
 
 

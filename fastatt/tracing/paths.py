@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fastatt.tracing.frozen import Freezer, guarded
+from fastatt.tracing.frozen import Freezer, check, guarded
 from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.operations import OPERATIONS
@@ -93,8 +93,6 @@ class Followed(NamedTuple):
     paths: list[list[tuple[int, bool]]]
     #: conditions of which both sides are tried
     conditions: set[int]
-    #: what runs in Python: not the function itself if Numba would compile what it calls
-    function: Callable[..., Any]
 
 
 def follow(function: Any, given: UserFunction) -> Followed:
@@ -116,11 +114,11 @@ def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Follow
     raised = (*raised, NameError) if predicated else raised
 
     def code(function: types.FunctionType) -> types.CodeType:
+        check(function, texts=False)
         code = function.__code__
         return (predicated and rewritten(code, known_names(function.__globals__))) or code
 
-    freezer = Freezer(replaced, _SCOPE, code)
-    made = guarded(function, lambda: freezer(function))
+    made = guarded(function, lambda: Freezer(replaced, _SCOPE, code)(function))
     inputs = given.nested([recorder.at(recorder.add("in", k)) for k in range(given.count)])
 
     def below(forced: list[bool]) -> list[Any]:
@@ -145,8 +143,7 @@ def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Follow
         raise TraceError(f"an error on every path, such as {text}") from error
     paths += [[(at, answer)] for at in recorder.chosen for answer in (True, False)]
     conditions = {at for path in paths for at, _ in path} - recorder.guards
-    beside = made if freezer.jitted else function
-    return Followed(kept, paths, conditions, beside)
+    return Followed(kept, paths, conditions)
 
 
 def _path(run: Callable[[], Any], recorder: Recorder, results: int, raised: Any) -> list[Any]:

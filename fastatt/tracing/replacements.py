@@ -228,6 +228,15 @@ BUILTINS = {k: frozen.unknown(x) for k, x in vars(builtins).items() if callable(
 }  # fmt: skip
 
 
+#: functions of Python and of libraries by identity, since attributes of users' objects may raise
+_BUILTINS = {id(x): BUILTINS[k] for k, x in vars(builtins).items() if callable(x)}
+_MODULES = {x.__name__: x for x in (np.linalg, np, math)}
+NAMES = {
+    id(x): (module, name) for module, of in _MODULES.items() for name, x in vars(of).items()
+    if callable(x)
+}  # fmt: skip
+
+
 # arrays from outside, and what replaces values of libraries
 
 
@@ -266,15 +275,14 @@ def replaced(value: Any) -> Any:
         made = value.copy().view(_Array)
         made.flags.writeable = False
         return made
-    if hasattr(value, "traced_at"):
+    if hasattr(type(value), "traced_at"):
         return value
     if value is math or value is np or value is np.linalg:
         return Library(value)
-    name = str(getattr(value, "__name__", ""))
-    for module in (math, np, np.linalg) if callable(value) else ():
-        if vars(module).get(name) is value and not isinstance(value, type):
-            return getattr(Library(module), name)
-    return BUILTINS[name] if callable(value) and getattr(builtins, name, None) is value else None
+    module, name = NAMES.get(id(value), ("builtins", ""))
+    if name and not isinstance(value, type):
+        return getattr(Library(_MODULES[module]), name)
+    return _BUILTINS.get(id(value))
 
 
 def known_names(scope: dict[str, Any]) -> frozenset[str]:

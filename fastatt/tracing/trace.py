@@ -16,7 +16,7 @@ from typing import Any
 
 from fastatt._numba import CPUDispatcher
 from fastatt.tracing import functions, graph
-from fastatt.tracing.frozen import Freezer, guarded
+from fastatt.tracing.frozen import Freezer, check, guarded, plain
 from fastatt.tracing.nodes import Recorded, TraceError
 from fastatt.tracing.operations import OPERATIONS, own_type_of
 from fastatt.tracing.replacements import replaced
@@ -80,8 +80,13 @@ def traceable(function: Any) -> Callable[..., Any]:
         return functools.partial(traceable(function.func), *function.args, **named)
     if isinstance(function, types.MethodType):
         return types.MethodType(traceable(function.__func__), function.__self__)
-    plain = getattr(function, "py_func", function)
-    if not isinstance(plain, types.FunctionType):
-        raise TraceError(f"{plain!r}, which is no Python function")
-    made = Freezer(stand_in, _SCOPE, lambda x: rewritten(x.__code__) or x.__code__).function(plain)
-    return lambda *args, **named: guarded(plain, lambda: made(*args, **named))
+    function = plain(function)
+    if not isinstance(function, types.FunctionType):
+        raise TraceError(f"{function!r}, which is no Python function")
+    made = Freezer(stand_in, _SCOPE, _code).function(function)
+    return lambda *args, **named: guarded(function, lambda: made(*args, **named))
+
+
+def _code(function: types.FunctionType) -> types.CodeType:
+    check(function, texts=False)
+    return rewritten(function.__code__) or function.__code__

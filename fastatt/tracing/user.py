@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import frozen, functions, graph, trial
-from fastatt.tracing.called import ENTRY, compiled, in_python, portable
+from fastatt.tracing.called import ENTRY, compiled, portable
 from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import Recorded, RefusedError, TraceError
 from fastatt.tracing.paths import follow
@@ -208,18 +208,20 @@ class UserFunction:
         found = follow(self._function, self)
         spans = [x.span for x in found.kept.tables if hasattr(x, "span")]
         self.usual = trial.points(self._arguments, params, *spans[:1])
-        trial.check(found, self._arguments, self.usual, self._beside(found.function))
+        trial.check(found, self._arguments, self.usual, self._in_python())
         self.kept = found.kept
 
     def _compile(self, params: NDArray[np.float64] | None) -> None:
         """Compile the function; it may not give numbers nowhere, or others than Python."""
         self.usual = trial.points(self._arguments, params)
         self.code = portable(self._function)
-        beside = self._beside(in_python(self.code))
+        beside = self._in_python()
         if sum(trial.agrees(x, np.array(self(*x)), beside) for x in self.usual) == 0:
             raise TraceError("an error in Python at every point where it was tried")
 
-    def _beside(self, function: Any) -> Callable[[Sequence[float]], Sequence[float]]:
+    def _in_python(self) -> Callable[[Sequence[float]], Sequence[float]]:
+        """The results of the user's own function at a point."""
+        function = frozen.in_python(self._function)
         return lambda point: self.in_a_row(function(*self.nested(point)))
 
     @cached_property
