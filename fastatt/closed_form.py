@@ -249,7 +249,7 @@ def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
 
 
 def _at_times(
-    form: BodySolution,
+    motion: BodySolution,
     q0: ArrayLike,
     w0: ArrayLike,
     t: ArrayLike,
@@ -261,15 +261,15 @@ def _at_times(
     rates = checks.array("w0", w0, "(3,) or (N, 3)")
     times = checks.array("t", t, "a number or (T,)")
     threads = number_of(n_threads)
-    bodies = {"q0": start, "w0": rates, "inertia": form.body.moments, "arm, weight": form.pull}
+    bodies = {"q0": start, "w0": rates, "inertia": motion.body.moments, "arm, weight": motion.pull}
     n = _same_rows(bodies)
-    if text := rounding.of_angles(turned(rates, times, form.gain), precision):
+    if text := rounding.of_angles(turned(rates, times, motion.gain), precision):
         rounding.warn(f"t: found rotations by {text}")
     flat = np.require(times.reshape(-1), precision, ["C", "A"])
     first = start.astype(precision), rates.astype(precision)
     q, w = (np.empty((flat.size, n or 1, k), precision) for k in (4, 3))
     with np.errstate(over="ignore", invalid="ignore"):
-        evaluate(form, first, flat, threads, (q, w))
+        evaluate(motion, first, flat, threads, (q, w))
     shape = times.shape if n is None else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
 
@@ -388,7 +388,7 @@ def _function(
 
 
 def evaluate(
-    form: BodySolution,
+    motion: BodySolution,
     start: tuple[NDArray[Any], NDArray[Any]],
     t: NDArray[Any],
     threads: int,
@@ -396,10 +396,10 @@ def evaluate(
     attitude: Attitude = QUATERNION,
 ) -> None:
     """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
-    moments, axes = form.body
-    state = _function(form.solution, precision_of(start[0].dtype), attitude, axes is not None)
+    moments, axes = motion.body
+    state = _function(motion.solution, precision_of(start[0].dtype), attitude, axes is not None)
     # axes that are the body axes are not read
-    bodies = *start, moments, np.zeros(4) if axes is None else axes, form.pull
+    bodies = *start, moments, np.zeros(4) if axes is None else axes, motion.pull
     state(*bodies, t[:, None], n_threads=threads, out=out)
 
 

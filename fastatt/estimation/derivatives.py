@@ -390,7 +390,7 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     record, packed = _of_rate(scene, named) if of_rate else of_body(scene, method)
     structure, tables = packed.structure.rotation, packed.tables
     # compiled once for all scenes that differ in their numbers only
-    step = _step_function(record, structure, tables) if tables else _kept(record, structure)
+    step = _step_function(record, structure, tables) if tables else _memoised(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
     return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, step)
 
@@ -412,4 +412,4 @@ def _step_function(record: Method, structure: Any, tables: Mapping[int, Any] | N
     return around_formulas(step_of_rate if of_rate else step_of_body)
 
 
-_kept = lru_cache(maxsize=128)(_step_function)
+_memoised = lru_cache(maxsize=128)(_step_function)

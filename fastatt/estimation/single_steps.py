@@ -235,7 +235,7 @@ def single_step(
     job = Job(record, attitude, packed.structure, precision_of(scalar), shared=shared)
     # functions accept either precision; they contain the tables
     key = replace(job, precision="double")
-    functions = _functions(key, packed.tables) if packed.tables else _kept(key)
+    functions = _functions(key, packed.tables) if packed.tables else _memoised(key)
     start, read = _ends(replace(key, method=METHODS["rk4"]))
     return Stepper(
         method=record.name, representation=attitude.name,
@@ -385,7 +385,7 @@ def _through(small_angle: Any, any_angle: Any, stages: NDArray[np.float64], job:
 
 
 @lru_cache(maxsize=128)
-def _kept(job: Job) -> dict[str, Any]:
+def _memoised(job: Job) -> dict[str, Any]:
     """The functions of a job without tables, made once in a process."""
     return _functions(job, {})
 

@@ -258,7 +258,7 @@ class Plan:
             try:
                 run = (RunWithEvents if self.choice.events else Run)(
                     self.setup, self._steps(h, t0, resumed, is_ring=is_ring), (start.q, start.y),
-                    rows, group, t0, n_threads, self._kept(resumed),
+                    rows, group, t0, n_threads, self._goes_on_from(resumed),
                 )  # fmt: skip
                 for piece in run.pieces(output.stops):
                     run.advance(piece)
@@ -280,7 +280,7 @@ class Plan:
         warn_of_lost(lost)
         return run, warned
 
-    def _kept(self, resumed: End | None) -> Mapping[str, Any] | None:
+    def _goes_on_from(self, resumed: End | None) -> Mapping[str, Any] | None:
         """What a run goes on from: the states, and what is known of the same events."""
         if resumed is None or self._is_same(resumed):
             return None if resumed is None else resumed.arrays

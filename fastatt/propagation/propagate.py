@@ -180,7 +180,7 @@ def propagate(
     checked_events = events_of(events, scene, position=r0 is not None)
     how = (method, representation, compensated, normalise, checked_events)
     # a choice for events may warn each time
-    choice = chosen(scene, *how) if checked_events else _kept(scene, chosen, *how)
+    choice = chosen(scene, *how) if checked_events else _memoised(scene, chosen, *how)
     t0 = checks.real("t0", t0)
     values = (q0, w0, v0, r0, s0)
     start = Initial.of(*initial(scene, values), checks.precision(dtype, *values))
@@ -189,7 +189,7 @@ def propagate(
     n = start.bodies
     when = (dt, n_steps, t_end, save_every, save_at)
     planning = (n, start.q.dtype, choice, r0 is not None, begin, *when)
-    planned = _kept(scene, _planned, *planning) if n <= _FEW else _planned(scene, *planning)
+    planned = _memoised(scene, _planned, *planning) if n <= _FEW else _planned(scene, *planning)
     options = options_of(planned.schedule, n, n_threads, progress, on_save, checkpoint)
     return planned.run(start, t0, **options)
 
@@ -208,20 +208,20 @@ def _planned(
     return prepared(scene, n_bodies, choice, schedule, dtype, position=position)
 
 
-def _kept(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function makes of a scene and arguments, kept with the scene."""
+def _memoised(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function makes of a scene and arguments, which the scene remembers."""
     # equal arguments of other types may be refused
     key = (make, *((type(x), x) for x in arguments))
     try:
-        kept = scene.memo.get(key)
+        value = scene.memo.get(key)
     except TypeError:  # an argument without a hash
         return make(scene, *arguments)
-    if kept is None:
-        kept = make(scene, *arguments)
+    if value is None:
+        value = make(scene, *arguments)
         while len(scene.memo) >= _KEPT:
             scene.memo.pop(next(iter(scene.memo)), None)
-        scene.memo[key] = kept
-    return kept
+        scene.memo[key] = value
+    return value
 
 
 def plan(

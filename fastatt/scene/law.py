@@ -28,12 +28,12 @@ class LookUp(NamedTuple):
     """A field that is a table: its array's number, its layout, whether slopes are needed."""
 
     number: int
-    form: TableLayout
+    layout: TableLayout
     slopes: bool
 
     def numbers(self, t: Any, p: Any, shown: Any = None) -> tuple[Any, ...]:
         """The values that a formula receives for the field; p is the row, if there are several."""
-        numbers, size = recorded(self.number, self.form, t, *p), self.form.size
+        numbers, size = recorded(self.number, self.layout, t, *p), self.layout.size
         return (numbers[:size], numbers[size:]) if self.slopes else numbers[:size]
 
 

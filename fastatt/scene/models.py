@@ -98,11 +98,11 @@ class Field:
 
     def check_table(self, name: str, table: TimeSeries) -> None:
         """Refuse a table that does not fit this field."""
-        if not self.table or (table.form.size,) != self.shape:
+        if not self.table or (table.layout.size,) != self.shape:
             accepted = f"values of {self.shape[0]} numbers" if self.table else "numbers, no table"
             raise ValueError(f"{name}: found {table!r}; accepted: {accepted}")
-        if self.table == "slopes" and not table.form.cubic:
-            kind = "previous" if table.form.steps else "linear"
+        if self.table == "slopes" and not table.layout.cubic:
+            kind = "previous" if table.layout.steps else "linear"
             raise ValueError(f'{name}: found a table of kind "{kind}"; accepted: "cubic"')
 
 
@@ -181,7 +181,9 @@ class Model:
         times = [np.zeros(0)]
         for name, field in self.fields.items():
             value = getattr(self, name)
-            if isinstance(value, TimeSeries) and (not value.form.cubic or field.table == "slopes"):
+            if isinstance(value, TimeSeries) and (
+                not value.layout.cubic or field.table == "slopes"
+            ):
                 times.append(value.t)
         return np.concatenate(times)
 
@@ -213,9 +215,9 @@ class Model:
                 look_ups.append(_reading(field, label, value, packing))
             elif isinstance(value, TimeSeries):
                 field.check_table(label, value)
-                rows = np.arange(float(value.rows))[:, None] if value.form.own else np.zeros(0)
+                rows = np.arange(float(value.rows))[:, None] if value.layout.own else np.zeros(0)
                 columns.append(rows)
-                look_ups.append(LookUp(len(tables), value.form, field.table == "slopes"))
+                look_ups.append(LookUp(len(tables), value.layout, field.table == "slopes"))
                 tables[len(tables)] = value.data
             else:
                 columns.append(field.flat(label, value))

@@ -195,7 +195,7 @@ class Scene:
         object.__setattr__(self, "rows", len(params) if params.ndim == 2 else None)
         object.__setattr__(self, "needs_position", structure.reads_position)
         for field in fields(self):
-            object.__setattr__(self, field.name, _kept(getattr(self, field.name)))
+            object.__setattr__(self, field.name, _read_only(getattr(self, field.name)))
 
     @property
     def _given(self) -> tuple[Any, ...]:
@@ -268,7 +268,7 @@ class Scene:
         if self.inertia is None:
             raise ValueError("inertia: this scene has none; accepted: a scene with inertia")
         body = principal(self.inertia, allow_unphysical=self.allow_unphysical)
-        return Principal(*map(_kept, body))
+        return Principal(*map(_read_only, body))
 
     def dependence(self, *, sorted_axes: bool = False) -> Dependence:
         """How the torque depends on w."""
@@ -454,10 +454,10 @@ def _held(value: Any) -> Any:
     return UserFunction(value) if is_given else value
 
 
-def _kept(value: Any) -> Any:
+def _read_only(value: Any) -> Any:
     """Read-only numbers, also those of a model: tuples of numbers, else copies of arrays."""
     if isinstance(value, models.Model):
-        return value.of(map(_kept, value.values))
+        return value.of(map(_read_only, value.values))
     if isinstance(value, (list, tuple)) and all(map(np.isscalar, value)):
         return tuple(value)
     if value is None or callable(value):
@@ -492,7 +492,7 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
         numbers |= {k: _of_rows(x, rows) for k, x in inner.items() if isinstance(x, models.Model)}
         return replace(value, **numbers)  # type: ignore[type-var]
     if isinstance(value, TimeSeries):
-        return value[rows] if value.form.own else value
+        return value[rows] if value.layout.own else value
     if value is None or callable(value) or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]

@@ -170,7 +170,7 @@ class TimeSeries:
         index = np.zeros(0) if uniform else _index(times)
         buckets = n - 1 if uniform else len(index) - n
         self.scalar = len(shape) == 1
-        self.form = TableLayout(size, cubic, uniform, holds, len(shape) == 3, steps)
+        self.layout = TableLayout(size, cubic, uniform, holds, len(shape) == 3, steps)
         head = Head(
             first=times[0], end=times[-1], width=width if uniform else gaps.min(),
             last=buckets - 1.0, low=times[0] - slack, high=times[-1] + slack, rows=len(samples),
@@ -191,8 +191,8 @@ class TimeSeries:
     @cached_property
     def digest(self) -> str:
         """A hash that is equal for equal tables."""
-        form = repr((self.form, self.scalar)).encode()
-        return hashlib.sha256(form + self.data.tobytes()).hexdigest()
+        text = repr((self.layout, self.scalar)).encode()
+        return hashlib.sha256(text + self.data.tobytes()).hexdigest()
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, TimeSeries) and self.digest == other.digest
@@ -201,16 +201,16 @@ class TimeSeries:
         return hash(self.digest)
 
     def __repr__(self) -> str:
-        rows = f"{self.rows} rows of " if self.form.own else ""
+        rows = f"{self.rows} rows of " if self.layout.own else ""
         start, end = self.span
-        return f"<TimeSeries: {rows}{self.form.size} numbers, {start:g} s to {end:g} s>"
+        return f"<TimeSeries: {rows}{self.layout.size} numbers, {start:g} s to {end:g} s>"
 
     @property
     def t(self) -> Numbers:
         """Times of the samples, s, of shape (T,)."""
         head = self._head
         n = int(head.interval) + 2
-        if self.form.uniform:
+        if self.layout.uniform:
             return np.asarray(head.first + head.width * np.arange(n))
         return self.data[int(head.times) :][:n]
 
@@ -228,15 +228,15 @@ class TimeSeries:
     def samples(self) -> Numbers:
         """The values: (rows, T, k)."""
         numbers = self.data[int(self._head.samples) :]
-        return numbers.reshape(self.rows, -1, self.form.stride)[..., : self.form.size]
+        return numbers.reshape(self.rows, -1, self.layout.stride)[..., : self.layout.size]
 
     def __getitem__(self, rows: Any) -> TimeSeries:
-        if not self.form.own:
+        if not self.layout.own:
             raise TypeError(f"table[rows]: found {self!r}; accepted: a table of values (N, T, k)")
         begin = int(self._head.samples)
         chosen = np.atleast_2d(self.data[begin:].reshape(self.rows, -1)[rows])
         table = object.__new__(TimeSeries)
-        table.form, table.scalar = self.form, self.scalar
+        table.layout, table.scalar = self.layout, self.scalar
         head = self._head._replace(rows=len(chosen))
         table._keep(head, self.data[_SIZE:begin], chosen)
         return table
@@ -265,10 +265,10 @@ class TimeSeries:
         return self._read(t, row)[1]
 
     def _read(self, t: Any, row: Any) -> Any:
-        if (row is None) == self.form.own:
-            accepted = "table(t, row)" if self.form.own else "table(t), one row is for all"
+        if (row is None) == self.layout.own:
+            accepted = "table(t, row)" if self.layout.own else "table(t), one row is for all"
             raise TypeError(f"row: found {row!r}; accepted: {accepted}")
-        row, size = 0.0 if row is None else row, self.form.size
+        row, size = 0.0 if row is None else row, self.layout.size
         numbers: tuple[Any, ...]
         like = unknown_in(t, row)
         if like is None:
@@ -298,7 +298,7 @@ class TimeSeries:
             return [self.data[first + k] for k in range(count)]
 
         with np.errstate(invalid="ignore", over="ignore"):
-            return _look_up(self.form, t, row, _Ways(take, np.floor, np.where))
+            return _look_up(self.layout, t, row, _Ways(take, np.floor, np.where))
 
     def traced_at(self, t: Any, row: Any) -> tuple[Any, ...]:
         """Values, then slopes, as operations of a compiled loop.
@@ -313,7 +313,7 @@ class TimeSeries:
         tuple of numbers of the graph
             The k values, then the k slopes.
         """
-        return recorded(self, self.form, t, row)
+        return recorded(self, self.layout, t, row)
 
     def at(self, times: ArrayLike) -> Numbers:
         """Interpolate at many times.
@@ -335,8 +335,8 @@ class TimeSeries:
         """
         instants = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
         numbers = self.numbers_at(instants[:, None], np.arange(float(self.rows)))
-        values = numbers[: self.form.size]
-        return np.stack(values, axis=-1) if self.form.own else np.concatenate(values, axis=-1)
+        values = numbers[: self.layout.size]
+        return np.stack(values, axis=-1) if self.layout.own else np.concatenate(values, axis=-1)
 
 
 class _Ways(NamedTuple):
@@ -347,7 +347,7 @@ class _Ways(NamedTuple):
     choose: Callable[[Any, Any, Any], Any]
 
 
-def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> tuple[Any, ...]:
+def recorded(name: Any, layout: TableLayout, t: Any, row: Any = None) -> tuple[Any, ...]:
     """Values, then slopes, of traced numbers, from the table that memory has under a name."""
     # the floor of a dual number is a node of its graph
     of = graph.apply("floor", t if isinstance(t, Recorded) else row).graph
@@ -359,26 +359,26 @@ def recorded(name: Any, form: TableLayout, t: Any, row: Any = None) -> tuple[Any
         return functions.row(name, double(place), count)
 
     ways = _Ways(take, lambda x: graph.apply("floor", x), graph.choose)
-    return _look_up(form, double(t), double(0.0 if row is None else row), ways)
+    return _look_up(layout, double(t), double(0.0 if row is None else row), ways)
 
 
-def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> tuple[Any, ...]:
+def _look_up(layout: TableLayout, t: Any, row: Any, ways: _Ways) -> tuple[Any, ...]:
     """Values, then slopes, at t in a row. Positions are within the table for any numbers."""
     take, floor, choose = ways
     head = Head(*take(0.0, _SIZE))
     inside = (t >= head.low) & (t <= head.high)
-    if form.holds:
+    if layout.holds:
         t = choose(t < head.first, head.first, t)
         t = choose(t > head.end, head.end, t)
     s = (t - head.first) / head.width
     k = floor(choose(s > 0.0, s, 0.0))
     k = choose(k < head.last, k, head.last)
     width = head.width
-    if form.uniform:
+    if layout.uniform:
         f = s - k
     else:
         (k,) = take(_SIZE + k, 1)
-        if form.steps:
+        if layout.steps:
             (begin,) = take(head.times + k, 1)
             k = choose((t < begin) & (k > 0.0), k - 1.0, k)
         begin, middle, end = take(head.times + k, 3)
@@ -387,33 +387,35 @@ def _look_up(form: TableLayout, t: Any, row: Any, ways: _Ways) -> tuple[Any, ...
         begin, end = choose(is_next, middle, begin), choose(is_next, end, middle)
         width = end - begin
         f = (t - begin) / width
-        if form.steps:  # 1 at the last sample only; NaN stays
+        if layout.steps:  # 1 at the last sample only; NaN stays
             f = choose(t >= end, 1.0, choose(t < end, 0.0, f))
-    sample = head.samples + float(form.stride) * k
-    if form.own:
+    sample = head.samples + float(layout.stride) * k
+    if layout.own:
         there = (row >= 0.0) & (row < head.rows) & (floor(row) == row)
         sample = sample + choose(there, row, 0.0) * head.row
     else:
         there = inside
-    if form.own or not form.holds:
-        known = there if form.holds else inside & there
+    if layout.own or not layout.holds:
+        known = there if layout.holds else inside & there
         f, width = choose(known, f, np.nan), choose(known, width, np.nan)
-    numbers = take(sample, form.stride if form.cubic else 2 * form.size)
-    pairs = [_between(form, numbers[c :: form.size], f, width, choose) for c in range(form.size)]
+    numbers = take(sample, layout.stride if layout.cubic else 2 * layout.size)
+    pairs = [
+        _between(layout, numbers[c :: layout.size], f, width, choose) for c in range(layout.size)
+    ]
     values, slopes = zip(*pairs, strict=True)
-    return (*values, *(choose(inside, x, 0.0) if form.holds else x for x in slopes))
+    return (*values, *(choose(inside, x, 0.0) if layout.holds else x for x in slopes))
 
 
-def _between(form: TableLayout, numbers: Sequence[Any], f: Any, width: Any, choose: Any) -> Any:
+def _between(layout: TableLayout, numbers: Sequence[Any], f: Any, width: Any, choose: Any) -> Any:
     """(value, slope) at a fraction f of an interval; NaN if f is.
 
     The numbers are the coefficients of a cubic, or the samples before and after.
     """
-    if form.cubic:
+    if layout.cubic:
         a, b, c, d = numbers
         return a + f * (b + f * (c + f * d)), (b + f * (2.0 * c + f * (3.0 * d))) / width
     before, after = numbers
-    if form.steps:
+    if layout.steps:
         return choose(f < 1.0, before, choose(f >= 1.0, after, f)), choose(f < 2.0, 0.0, f)
     rise = after - before
     return before + f * rise, rise / width
