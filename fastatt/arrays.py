@@ -114,7 +114,7 @@ def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
     Returns
     -------
     ndarray of shape (..., 4)
-        Unit quaternions with q0 ≥ 0.
+        Unit quaternions with q0 ≥ 0, so that those of a sequence may change their sign.
 
     Raises
     ------
@@ -326,6 +326,13 @@ def normalised(q: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
+def make_continuous(q: NDArray[Any]) -> NDArray[Any]:
+    """The quaternions (S, ...), each changed to the sign that is nearer to the one before."""
+    turns = np.einsum("...k,...k", q[1:], q[:-1]) < 0.0
+    q[1:] *= np.cumprod(np.where(turns, -1, 1), axis=0)[..., None].astype(q.dtype)
+    return q
+
+
 def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """Hamilton product p∘q of quaternions.
 
@@ -342,7 +349,9 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     Returns
     -------
     ndarray of shape (..., 4)
-        The products.
+        The products, of the norm ``|p| |q|`` to rounding. Nothing is normalised: normalise the
+        result of many products, and one that enters its own successor more than once, whose norm
+        otherwise drifts ever faster from 1.
 
     Raises
     ------
@@ -360,6 +369,8 @@ def quat_multiply(p: ArrayLike, q: ArrayLike) -> NDArray[Any]:
 
 def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """Rotate vectors from body axes to inertial axes, v_i = q∘v_b∘q*/``|q|²``.
+
+    Lengths stay the same, to rounding, whatever the norms of the quaternions.
 
     Parameters
     ----------
@@ -389,6 +400,8 @@ def quat_rotate(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
 
 def quat_rotate_inverse(q: ArrayLike, v: ArrayLike) -> NDArray[Any]:
     """Rotate vectors from inertial axes to body axes, v_b = q*∘v_i∘q/``|q|²``.
+
+    Lengths stay the same, to rounding, whatever the norms of the quaternions.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
-from fastatt.arrays import quat_multiply
+from fastatt.arrays import make_continuous, quat_multiply
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import precision_of, rows
 from fastatt.propagation.trajectory import Trajectory
@@ -156,8 +156,7 @@ def _rates_of(t: NDArray[np.float64], q: ArrayLike) -> NDArray[np.float64]:
             f"q: found a rotation by more than π/2 from save {fast[0, 0]} to the next, between "
             "which the rates of attitudes are uncertain: give w, or save more often"
         )
-    # of continuous signs, so that rotation vectors may exceed π
-    q = q * np.cumprod(np.concatenate([np.ones_like(turns[:1]), np.sign(turns)]), axis=0)
+    q = make_continuous(q)  # so that rotation vectors may exceed π
     n = min(_NEIGHBOURS, t.size)
     nodes = np.clip(np.arange(t.size) - n // 2, 0, t.size - n)[:, None] + np.arange(n)
     gaps = t[:, None] - t[nodes]

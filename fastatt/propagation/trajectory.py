@@ -111,10 +111,15 @@ class Trajectory:
 
     @cached_property
     def q(self) -> NDArray[Any]:
-        """Unit quaternions from body to inertial axes, scalar first: (S, N, 4)."""
-        if self.attitude.to_quat_array is not None:
-            return self._shaped(self.attitude.to_quat_array(self.state))
-        return arrays.quaternions_of(self.dcm)
+        """Unit quaternions from body to inertial axes, scalar first: (S, N, 4).
+
+        Their sign is continuous from the initial one on in the representation "quat". In others
+        each save of this trajectory has the sign that is nearer to the save before.
+        """
+        if self.attitude.to_quat_array is None:
+            return arrays.make_continuous(arrays.quaternions_of(self.dcm))
+        q = self._shaped(self.attitude.to_quat_array(self.state))
+        return q if self.attitude.family == "quaternion" else arrays.make_continuous(q)
 
     @cached_property
     def dcm(self) -> NDArray[Any]:
