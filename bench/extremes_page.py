@@ -69,12 +69,12 @@ at up to twice the rate of the body.
 """
 
 
-def cases(*, quick: bool = False) -> list[Case]:
-    """All rows there are."""
+def cases(*, quick: bool = False, method: str = "") -> list[Case]:
+    """All rows there are, or those of a method."""
+    names = [method] if method else SOME if quick else fa.METHODS
     return [
         Case(m.name, r, d)
-        for m in fa.METHODS.values()
-        if not quick or m.name in SOME
+        for m in map(fa.METHODS.__getitem__, names)
         for r in (m.representations[:1] if quick else m.representations)
         for d in (("float64",) if quick else ("float64", "float32"))
     ]
@@ -327,6 +327,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes at once")
     parser.add_argument("--page", type=Path, default=ROOT / "bench", help="folder of the summary")
     parser.add_argument("--out", type=Path, default=ROOT / "results", help="folder of all tables")
+    parser.add_argument(
+        "--method", default="", help="only its rows, which are printed, not written"
+    )
     parser.add_argument("--coefficients", metavar="METHOD", help="print what its tables need")
     options = parser.parse_args(arguments)
     if options.coefficients:
@@ -336,7 +339,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             case = Case(options.coefficients, representation)
             print(*case[:2], *(f"{name} {x:.2g}" for name, x in coefficients(case)))
         return 0
-    every = cases(quick=options.quick)
+    every = cases(quick=options.quick, method=options.method)
     # a process ends after some rows: what was compiled stays in its memory
     with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=8) as pool:
         rows = {}
@@ -349,11 +352,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     summary = [HEADER.format(wrong=wrong, total=len(outcomes)), *limits_table(methods)]
     summary += [*floors_table(methods), *count_table(rows)]
     summary += energy_table(10_000_000 if options.long else 100_000, methods)
-    options.out.mkdir(parents=True, exist_ok=True)
-    tables = [line for table in TABLES for line in lines(table, rows)]
-    (options.out / "extremes.md").write_text("\n".join(tables), encoding="utf-8")
-    (options.page / "EXTREMES.md").write_text("\n".join(summary), encoding="utf-8")
-    print("\n".join(summary))
+    titles = {title for cells in rows.values() for title, _ in cells}
+    tables = [line for table in TABLES if table.title in titles for line in lines(table, rows)]
+    if not options.method:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "extremes.md").write_text("\n".join(tables), encoding="utf-8")
+        (options.page / "EXTREMES.md").write_text("\n".join(summary), encoding="utf-8")
+    print("\n".join([*summary, *(tables if options.method else ())]))
     return int(wrong > 0)
 
 
