@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import mpmath as mp
 import numpy as np
 import pandas as pd
@@ -100,18 +98,16 @@ def test_long_angles_are_right(convert, exact, dtype):
                     min(np.abs(convert(row) - known).max(), np.abs(convert(row) + known).max())
                     < allowed
                 )
+    assert np.isnan(convert([np.inf, 0.0, 0.0])).any()
 
 
-def test_angles_beyond_all_digits_are_refused():
-    for convert, name in (
-        (fa.rotation_vector_to_quat, "u"), (fa.euler313_to_quat, "angles"),
-        (lambda angles: fa.euler_to_quat(angles, "ZYX"), "angles"),
-    ):  # fmt: skip
-        with pytest.raises(
-            ValueError, match=rf"{name}\[1, 2\] is -?[\d.e+]+; accepted: up to 1e\+50"
-        ):
-            convert([[0.0, 0.0, 0.0], [0.0, 0.0, -1e51]])
-        assert np.isnan(convert([np.inf, 0.0, 0.0])).any()
+def test_read_only_and_broadcast_arrays_are_taken():
+    start = QUATS[0]
+    a, b = np.broadcast_to(start, (3, 4)), np.full((3, 4), 0.5)
+    b.flags.writeable = False
+    assert fa.angle_between(a, b).tolist() == [fa.angle_between(start, b[0])] * 3
+    assert fa.quat_to_dcm(b).tolist() == fa.quat_to_dcm(b.copy()).tolist()
+    assert fa.quat_multiply(a, b).tolist() == fa.quat_multiply(a.copy(), b.copy()).tolist()
 
 
 def test_the_zero_quaternion_is_no_attitude():
@@ -176,28 +172,6 @@ def test_float32_angles():
     found = fa.angle_between(QUATS.astype(np.float32), QUATS[::-1].astype(np.float32))
     assert found.dtype == np.float32
     assert found == pytest.approx(angle(QUATS, QUATS[::-1]), abs=16 * TINY)
-
-
-REFUSED = [
-    (fa.angle_between, ([1, 0, 0], [1, 0, 0, 0]), "a: has shape (3,)"),
-    (fa.angle_between, (QUATS[:3], QUATS[:2]), "b: has shape (2, 4), a (3"),
-    (fa.angle_between, (["a"] * 4, QUATS[0]), "a: found"),
-    (fa.angle_between, (2.0 * np.eye(3), [1, 0, 0, 0]), "a: found the det"),
-    (fa.quat_to_dcm, (np.zeros(3),), "q: has shape (3,); accepted: (..., 4"),
-    (fa.quat_to_euler313, ([1j, 0, 0, 0],), "q: found"),
-    (fa.euler313_to_quat, ([1, 2],), "angles: has shape (2,)"),
-    (fa.rotation_vector_to_quat, (1.0,), "u: has shape ()"),
-    (fa.dcm_to_quat, (np.eye(4),), "C: has shape (4, 4); accepted"),
-    (fa.dcm_to_quat, (np.zeros((3, 3)),), "C: found the determinant 0"),
-    (fa.dcm_to_quat, (np.eye(3) + np.eye(3, k=1) * 0.011,), "identity by 0.0"),
-    (fa.dcm_to_quat, ([np.eye(3), 2.0 * np.eye(3)],), "C[1]: found the determinant 8, and CᵀC off"),
-]
-
-
-@each(("function", "arguments", "message"), REFUSED)
-def test_refusals_name_the_argument(function, arguments, message):
-    with pytest.raises((TypeError, ValueError), match=re.escape(message)):
-        function(*arguments)
 
 
 def test_every_reflection_is_refused():

@@ -119,36 +119,3 @@ def test_what_is_no_path_is_refused(value):
         with pytest.raises(TypeError, match=r"^path: found .*; accepted: a path"):
             function(value)
     assert not Path("5").exists()
-
-
-def test_rates_whose_square_overflows_are_refused():
-    for function, options in (
-        (fa.per_body_steps, {"tol": 1e-3, "t_end": 1.0, "method": "rk4"}),
-        (fa.work_precision, {"t_end": 1.0, "methods": ["rk4"]}),
-        (fa.check_convergence, {"dt": 0.1, "n_steps": 4}),
-    ):
-        with pytest.raises(ValueError, match=r"w0\[0\] is 1e\+200; accepted: up to 1e\+150 rad/s"):
-            function(BODY, Q, [1e200, 0.0, 0.0], **options)
-
-
-@pytest.mark.parametrize("until", [{"save_at": [1e149]}, {"t_end": 1e300}, {"t_end": 1e308}])
-def test_steps_that_no_whole_number_counts_are_refused(until):
-    with pytest.raises(ValueError, match=r"dt, t_end: found .* steps in .* s; accepted: fewer"):
-        fa.propagate(BODY, Q, W, dt=0.1, method="rk4", **until)
-
-
-@pytest.mark.parametrize(("period", "start"), [(1e-320, 0.0), (0.1, 1e300), (1e-9, 0.0)])
-def test_sample_times_that_no_double_tells_apart_are_refused(period, start):
-    control = fa.torques.SampledControl(fa.torques.QuaternionPD(1.0, 1.0), period, start=start)
-    scene = fa.Scene(inertia=(2.0, 1.0, 0.7), torque=control)
-    with pytest.raises(
-        ValueError, match=r"SampledControl.period is .* and .start .*; accepted: up"
-    ):
-        fa.propagate(scene, Q, W, s0=np.zeros(3), dt=10.0, n_steps=10)
-
-
-def test_rows_of_parameters_that_are_not_there():
-    stepper = fa.single_step(fa.Scene(inertia=[[2.0, 1.0, 0.7], [1.0, 2.0, 1.5]]), method="rk4")
-    for body in (2, -1):
-        with pytest.raises(ValueError, match="body: found"):
-            stepper.state(Q, W, body=body)

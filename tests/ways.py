@@ -12,11 +12,12 @@ RNG = np.random.default_rng(3)
 Q0, W0 = RNG.normal(size=(N, 4)), RNG.normal(size=(N, 3))
 BODY = (2.0, 1.0, 1.5)
 SIZES = RNG.uniform(0.9, 1.1, (N, 1))
-OWN = RNG.uniform(0.1, 0.5, (N, 2))
+# the last is the same of all bodies, so that what is made of it is shared by them
+OWN = np.hstack([RNG.uniform(0.1, 0.5, (N, 2)), np.full((N, 1), 3.0)])
 
 
 def swing(t, q, w, p):
-    return p[0] * np.sin(3.0 * t), p[1] * w[1] - q[0] * q[1], 0.1
+    return p[0] * np.sin(p[2] * t), p[1] * w[1] - q[0] * q[1], 0.1
 
 
 def pulse(t, q, w, p):

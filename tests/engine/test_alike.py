@@ -1,18 +1,16 @@
-"""Numbers that bodies have in common where others are their own: found, and worked on once."""
+"""Numbers that bodies have in common: found, and worked on once (the bits: test_one_result)."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-import pytest
 from machine_code import texts
 
 import fastatt as fa
 from fastatt.propagation import plan as plan_module
 
 N = 70
-FEW = [0, 33, N - 1]  # too few for what they have in common to be looked for
 CHANCE = np.random.default_rng(3)
 Q0, W0 = CHANCE.normal(size=(N, 4)), CHANCE.normal(size=(N, 3))
 SIZES = CHANCE.uniform(0.8, 1.2, size=(N, 1))
@@ -34,43 +32,10 @@ SCENES = {
         inertia=(2.0, 1.5, 1.0), mass=SIZES[:, 0], force=(1.0, 0.0, 0.5), torque=ORBIT
     ),
 }
-CASES = [
-    ("cones", "magnus4"), ("orbit", "rk4"), ("orbit", "kahan_li8"), ("long", "dmv10"),
-    ("function", "rk4"), ("moved", "rk4"),
-]  # fmt: skip
-
-
-def run(scene, rows=slice(None), q0=Q0, **options):
-    rates = {} if scene.kind == "rate" else {"w0": W0[rows]}
-    speed = {"v0": W0[rows]} if scene.moves else {}
-    return fa.propagate(scene, q0[rows], **rates, **speed, **{**TURN, **options})
 
 
 def alike(scene, method, n=N):
     return fa.plan(scene, n, method=method, **TURN).program.job.alike
-
-
-@pytest.mark.parametrize(("name", "method"), CASES)
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_a_body_has_the_bits_that_it_has_among_few(name, method, dtype):
-    scene, options = SCENES[name], {"method": method, "dtype": dtype}
-    assert alike(scene, method)
-    many, few = run(scene, **options), run(scene[FEW], FEW, **options)
-    assert not alike(scene[FEW], method, len(FEW))
-    assert many.state[:, FEW].tobytes() == few.state.tobytes()
-    for carried, wanted in few.carried.items():
-        assert many.carried[carried][:, FEW].tobytes() == wanted.tobytes()
-
-
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_a_body_alone_has_the_bits_that_it_has_among_others(dtype):
-    """Whose orbit and size are their own, so that sines are those of each."""
-    rates = 0.3 + 0.1 * np.arange(5.0)
-    own = fa.torques.GravityGradient(rates)
-    many = fa.Scene(inertia=SIZES[:5] * (2.0, 1.5, 1.0), torque=own)
-    alone = fa.Scene(inertia=SIZES[0] * (2.0, 1.5, 1.0), torque=ORBIT)
-    of_many = run(many, slice(5), method="rk4", dtype=dtype)
-    assert run(alone, 0, method="rk4", dtype=dtype).q.tobytes() == of_many.q[:, 0].tobytes()
 
 
 def test_one_body_that_differs_is_enough():
@@ -81,16 +46,6 @@ def test_one_body_that_differs_is_enough():
         assert alike(fa.Scene(rate=fa.rates.Coning(0.3, rates)), "rk4") == (0,)
         rates[-1] = value
         assert alike(fa.Scene(rate=fa.rates.Coning(0.3, rates)), "rk4") == (0, 1)
-
-
-def test_other_numbers_of_a_plan_need_not_be_alike():
-    scene = SCENES["function"]
-    plan = fa.plan(scene, N, method="rk4", **TURN)
-    params = OWN.copy()
-    params[:, 1] = np.linspace(0.5, 2.5, N)
-    other = fa.Scene(inertia=(2.0, 1.5, 1.0), torque=swinging, params=params)
-    again = plan(Q0, W0, params=params)
-    assert again.q.tobytes() == run(other, method="rk4").q.tobytes()
 
 
 def test_what_is_alike_is_worked_on_once(monkeypatch):

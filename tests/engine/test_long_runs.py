@@ -176,15 +176,3 @@ def test_a_compensated_state_is_mended_from_16_ulps_on(kind):
     left = mended[:, :4].astype(np.longdouble) + mended[:, 4:] - x[:, :4]
     assert_array_equal(left[:, 0], np.where(np.abs(off) > 16.0 * eps, 0.0, off))
     assert not left[:, 1:].any()
-
-
-def test_refusals():
-    scene = fa.Scene(inertia=(2.0, 1.0, 0.9))
-    call = {"dt": 0.1, "n_steps": 1}
-    with pytest.raises(
-        ValueError, match=r"compensated: found with method strang2; accepted with .*rk4"
-    ):
-        fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], method="strang2", compensated=True, **call)
-    for wrong in ("always", 0, 1.5, None):
-        with pytest.raises((ValueError, TypeError), match=r"normalise: found .*never, or a whole"):
-            fa.propagate(scene, [1, 0, 0, 0], [0, 0, 1], normalise=wrong, **call)

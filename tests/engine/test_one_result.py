@@ -120,11 +120,13 @@ def test_a_plan_gives_the_same(way):
 
 @stepped
 def test_a_resumed_run_is_the_whole_one(way, tmp_path):
-    """Left anywhere: within a step that a breakpoint divides, after a block, at a sample; files."""
+    """Left anywhere, and again: within a divided step, after a block, at a sample; files."""
     events = {k: v for k, v in WAYS[way][1].items() if k == "events"}
-    scene, whole = WAYS[way][0], run(way, save_every=1)
+    scene, whole, last = WAYS[way][0], run(way, save_every=1), 1
+    begun = run(way, n=last)
     for first in (1, 25, 50, 51, 260):
-        begun = run(way, n=first, checkpoint=tmp_path / "checkpoint")
+        more = {"n_steps": first - last, "checkpoint": tmp_path / "checkpoint", **events}
+        begun, last = fa.resume(scene, begun, **more), first
         begun.save_end(tmp_path / "end")
         steps, pieces = [first, *range((first // 4 + 1) * 4, STEPS, 4), STEPS], []
         options = {"n_steps": STEPS - first, "save_every": 4, **events}

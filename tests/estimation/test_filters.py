@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 import scipy
-from each import each
 from exact import START, Motion, angle, attitude, conj, exp, matrix, mul
 from numba import njit
 
@@ -30,7 +27,6 @@ MOTION = Motion(
 )
 TIMES = H * np.arange(SAMPLES + 1)
 NOISE = {"angle_noise": ANGLE_NOISE, "bias_noise": BIAS_NOISE}
-MANY = np.tile(START, (4, 1))
 P0 = np.diag([START_ERROR**2] * 3 + [START_BIAS**2] * 3)
 
 
@@ -395,28 +391,3 @@ def test_a_gyro_without_noise_says_the_truth():
     assert np.array_equal(a, b)
     increments = es.simulate_gyro(0.1 * true, 0.1, bias=(0.1, 0.0, 0.0), increments=True)
     assert np.abs(increments.samples - 0.1 * g.samples).max() <= 4 * EPS
-
-
-# refusals
-
-
-@each(
-    ("call", "message"),
-    [
-        (lambda f: f.predict(np.zeros((2, 3)), 0.1), "gyro: has shape (2, 3); accepted: (3,) or ("),
-        (lambda f: es.MEKF(MANY, P0, bias=np.zeros((2, 3)), **NOISE), "q: found rows q 4, bias 2;"),
-        (lambda f: es.UKF(START, np.zeros(3), P0, kappa=-6.0), "kappa: found -6.0; accepted: abov"),
-        (lambda f: mean_attitude(np.ones((2, 4)), np.ones(3)), "weights: has shape (3,); accep"),
-        (lambda f: mean_attitude(np.ones((2, 4)), [1.0, -1.0]), "; accepted: at least 0, and s"),
-        # of two sets, one without a weight
-        (
-            lambda f: mean_attitude(np.ones((2, 2, 4)), [[1.0, 0.0], [0.0, 0.0]]),
-            "weights: found 0 to 1; accepted: at least 0, and some",
-        ),
-        (lambda f: mean_attitude(np.eye(4)[:2]), "q: has no one mean"),
-        (lambda f: mean_attitude(np.zeros((2, 4))), "q: found a zero quaternion"),
-    ],
-)
-def test_refusals(call, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        call(es.MEKF(MANY, P0, **NOISE))

@@ -181,30 +181,16 @@ def test_measurements_that_are_not_finite_are_left_out(kind, measured, bad):
 
 
 @each("kind", ["MEKF", "UKF"])
-def test_what_is_no_measurement_is_refused_or_left_out(kind):
-    f, rows = filters(kind), np.tile(DOWN, (4, 1))
-    before, nan, zero = state(f), rows.copy(), rows.copy()
-    nan[2, 1], zero[1] = np.nan, 0.0
-    for measured, reference, message in (
-        (nan, DOWN, r"measured\[2, 1\] is nan; accepted: finite numbers"),
-        (DOWN, nan, r"reference\[2, 1\] is nan"),
-        ([np.inf, 0.0, 0.0], DOWN, r"measured\[0\] is inf"),
-        (zero, DOWN, r"measured\[1\] is the zero vector; accepted: any other"),
-        (np.zeros(3), DOWN, "measured is the zero vector"),
-        (DOWN, zero, r"reference\[1\] is the zero vector"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            f.update_vector(measured, reference, 0.01)
-    with pytest.raises(ValueError, match=r"measured\[1, 2\] is nan"):
-        f.update_attitude(np.where(np.arange(16).reshape(4, 4) == 6, np.nan, MANY), 0.01)
-    with pytest.raises(ValueError, match="invalid: found 'flag'; accepted: raise, skip"):
-        filters(kind, invalid="flag")
-    for gate in (0.0, -1.0, np.nan):
-        with pytest.raises(ValueError, match=r"gate: found .*; accepted: a number above 0, or N"):
-            update(f, "attitude", np.zeros((4, 3)), gate=gate)
+def test_what_is_no_measurement_is_left_out(kind):
+    """Where it is refused, it changes nothing."""
+    zero, none = np.tile(DOWN, (4, 1)), MANY.copy()
+    zero[1], none[1] = 0.0, 0.0
+    f = filters(kind)
+    before = state(f)
+    for call in (lambda: f.update_vector(zero, DOWN, 0.01), lambda: f.update_attitude(none, -1.0)):
+        with pytest.raises(ValueError, match="accepted"):
+            call()
     assert changed(before, f) == [False] * 4
-    none = MANY.copy()
-    none[1] = 0.0
     for call in (
         lambda f: f.update_vector(zero, DOWN, 0.01),
         lambda f: f.update_vector(DOWN, zero, 0.01),
@@ -221,21 +207,6 @@ def test_a_zero_vector_has_no_nis_in_compiled_code():
     for measured, reference in ((zero, tuple(DOWN)), (tuple(DOWN), zero)):
         found = es.mekf_update_vector(tuple(START), zero, P, measured, reference, 1e-4)
         assert np.isnan(found[3])
-
-
-def test_gyro_samples_that_are_not_finite_are_refused():
-    f = filters("MEKF")
-    before = state(f)
-    rates = np.zeros((4, 3))
-    rates[3, 0] = np.inf
-    with pytest.raises(ValueError, match=r"gyro\[3, 0\] is inf; accepted: finite numbers"):
-        f.predict(rates, 0.1)
-    with pytest.raises(ValueError, match=r"gyro\[1\] is nan"):
-        es.MEKF(START, P0, **NOISE).predict([0.0, np.nan, 0.0], 0.1)
-    for dt in (0.0, -0.1, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"dt: found .*; accepted: an interval above 0"):
-            f.predict(np.zeros(3), dt)
-    assert changed(before, f) == [False] * 4
 
 
 @pytest.mark.parametrize("copied", [lambda f: f, copy.deepcopy])

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from allocations import counted, is_made_in
-from each import each
 from exact import START, generic
 from numba import njit, prange
 from numba.core.errors import TypingError
@@ -273,10 +272,6 @@ def test_methods_and_representations_of_ones_own():
         assert stepper.method == method.name
         traj = fa.propagate(MOTION.shared, START, dt=H, n_steps=3, n_threads=1, **options)
         assert gap(one_by_one(stepper, 0, 3, START), traj.q[-1]) == 0.0
-    with pytest.raises(
-        ValueError, match=r"method: found 'middle'; accepted: rk4, cf4, .* \(middle needs a rate"
-    ):
-        fa.single_step(FREE, method=middle)
 
 
 def test_scenes_that_differ_in_numbers_alone_share_what_is_compiled():
@@ -320,33 +315,6 @@ def test_arrays_that_are_too_short():
             with pytest.raises(ValueError, match=message):
                 function(*short)
             assert (beyond == whole).all()
-
-
-@each(
-    ("options", "message"),
-    [
-        ({"method": "exact"}, "method: found 'exact'; accepted: rk4, cf4"),
-        ({"representation": "gibbs"}, "representation: found 'gibbs'"),
-        ({"position": True}, "position: found True"),
-    ],
-)
-def test_refusals(options, message):
-    with pytest.raises(ValueError, match=message):
-        fa.single_step(FREE, **options)
-
-
-def test_refusals_of_types(magnus):
-    with pytest.raises(TypeError, match="scene: found 3"):
-        fa.single_step(3)
-    with pytest.raises(TypeError, match="dtype"):
-        fa.single_step(FREE, dtype="int")
-    with pytest.raises(TypeError, match=r"state: found 2 arguments; accepted: q$"):
-        magnus.state(START, (1.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match=r"q is the zero quaternion"):
-        magnus.state((0.0, 0.0, 0.0, 0.0))
-    step, x = magnus.step, (1, 0, 0, 0)
-    with pytest.raises(TypingError, match=r"step: found an integer .* write 1.0 instead of 1"):
-        njit(lambda p: step(0.0, H, x, p))(magnus.params[0])
 
 
 REFUSED = r"found {}.* among the arguments; accepted are float64 or float32"

@@ -6,7 +6,6 @@ from itertools import permutations
 import numpy as np
 import pytest
 from differences import attitude_errors, derivative, displaced
-from each import each
 from numba import njit
 from oracle import EPS
 
@@ -186,37 +185,6 @@ def test_users_torque_from_users_code():
 
 
 TOP = fa.Scene(inertia=MOMENTS, torque=fa.torques.HeavyTop(WEIGHT[:3], WEIGHT[3]))
-
-
-# refusals
-
-BODY = fa.Scene(inertia=MOMENTS)
-
-
-@each(
-    ("call", "message"),
-    [
-        (lambda: estimation.step_tangent(3), "scene: found 3; accepted: a fastatt.Scene"),
-        (lambda: estimation.step_tangent(CURVED, method="hold"), "method: found 'hold'; accepted:"),
-        (
-            lambda: estimation.sample_transitions(log(4), H, method="picard"),
-            "method: found 'picard'; accepted: hold",
-        ),
-        (lambda: estimation.sample_transitions(np.zeros((1, 3)), H), "rates: found one rate"),
-        (
-            lambda: estimation.body_tangent(BODY, Q, np.zeros((3, 3)), H, method="exact"),
-            "method: found 'exact'",
-        ),
-        (
-            lambda: estimation.body_tangent(BODY, np.tile(Q, (2, 1)), np.zeros((3, 3)), H),
-            "q0: found rows q0 2, w0 3, scene 1",
-        ),
-        (lambda: estimation.body_tangent(CURVED, Q, M, H), "scene: found no inertia"),
-    ],
-)
-def test_refusals(call, message):
-    with pytest.raises((TypeError, ValueError), match=message):
-        call()
 
 
 @pytest.mark.parametrize(

@@ -45,12 +45,6 @@ def test_a_heading_is_corrected_alike_everywhere(yaw):
     np.testing.assert_allclose(other, found, rtol=1e-6)
 
 
-@each("period", (0.0, -1.0, (1.0, 2.0), math.nan))
-def test_what_is_no_period(period):
-    with pytest.raises(ValueError, match=r"period: found .*; accepted: a number above 0"):
-        updated(0.0, heading, [[VARIANCE]], period, [0.0])
-
-
 @each("filtered", ("MEKF", "UKF"))
 @each("scale", (2.1, 47.0, 1.0 / 47.0, 0.4))
 def test_vectors_in_another_unit_than_their_references(filtered, scale):

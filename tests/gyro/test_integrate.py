@@ -277,6 +277,11 @@ def test_start_of_any_length(length):
     assert np.abs(a - b).max() < 8 * EPS
 
 
+def test_a_log_of_one_sample_has_no_intervals():
+    q = fa.integrate_rates(LOG[:1], [], START, method="hold")
+    assert q == pytest.approx(START[None], abs=1e-15)
+
+
 def test_float32():
     data = (0.01 * LOG[:5000]).astype(np.float32)
     options = {"method": "previous"}

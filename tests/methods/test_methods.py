@@ -167,27 +167,6 @@ def test_a_step_evaluates_and_turns_as_often_as_its_record_says(record, kind, mo
     assert kind != "rate" or counts["turns"] == record.exponentials
 
 
-TORQUED = fa.Scene(inertia=(2.0, 1.0, 0.8), torque=fa.torques.QuadraticDamping(0.1))
-
-
-@each(
-    ("scene", "method", "reason"),
-    [
-        (TORQUED, "magnus4", "magnus4 needs a rate; this scene has inertia"),
-        (BODIES.shared, "dmv2", "dmv2 needs inertia; this scene has a rate"),
-        (TORQUED, "dmv2", "dmv2 is for spherical, symmetric, free bodies; this is torqued"),
-        (TORQUED, "strang2", "strang2 needs a torque that does not depend on w, but for linear"),
-        (TORQUED, "hold", "hold is for samples: fastatt.integrate_rates"),
-        (TORQUED, "RK45", "nearest: rk8"),
-        (TORQUED, "RK_4", "nearest: rk4"),
-        (TORQUED, "gbs", "nearest: gbs16"),
-    ],
-)
-def test_a_method_that_does_not_fit_says_why(scene, method, reason):
-    with pytest.raises(ValueError, match=rf"^method: found '{method}'; accepted: .* \({reason}"):
-        fa.propagate(scene, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3), dt=0.1, n_steps=1, method=method)
-
-
 def test_windows_fit_into_the_chunks_of_the_engine():
     windows = [m.window for m in fa.METHODS.values() if m.window is not None]
     assert all(CHUNK % w.span == 0 and w.history <= MOST_HISTORY for w in windows)

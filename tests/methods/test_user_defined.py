@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -82,10 +81,6 @@ def rate_error(method, n, representation="quat"):
     return angle(traj.q[-1], END).max()
 
 
-def body_scene(torque=None):
-    return fa.Scene(inertia=INERTIA, torque=torque)
-
-
 START4, SPIN4 = np.tile(START, (4, 1)), np.tile(SPIN, (4, 1))
 
 
@@ -121,35 +116,6 @@ def test_limits_of_ones_own_are_seen():
             assert traj.status[0] & fa.Status.STEP_TOO_LARGE == flag, method.name
 
 
-# methods that are none
-
-
-GOOD = {"order": 3, "c": (0, 1 / 2, 3 / 4), "a": ((1 / 2,), (0, 3 / 4)), "b": (2 / 9, 1 / 3, 4 / 9)}
-WRONG_TABLEAUX = [
-    ({"a": ((1 / 2,), (0.1, 3 / 4))}, ValueError, "a[1]: its sum is 0.85; accepted: the node c[2]"),
-    ({"b": (2 / 9, 1 / 3, 3 / 9)}, ValueError, "a, b: a condition of order 1 gives 0.888888888888"),
-    ({"b": (3 / 9, 2 / 9, 4 / 9)}, ValueError, "a, b: a condition of order 2 gives 0.444444444444"),
-    ({"order": 4}, ValueError, "a, b: a condition of order 4 gives"),
-    ({"order": 0}, ValueError, "order: found 0; accepted: a whole number of at least 1"),
-    ({"order": 3.0}, TypeError, "order: found 3.0; accepted: a whole number"),
-    ({"a": ((1 / 2,),)}, ValueError, "c, a, b: found 3 nodes, 1 rows and 3 weights; accepted: as"),
-    ({"a": ((1 / 2,), (3 / 4,))}, ValueError, "a[1]: found 1 numbers; accepted: 2"),
-    ({"c": (0.1, 1 / 2, 3 / 4)}, ValueError, "c[0]: found 0.1; accepted: 0, of an explicit method"),
-    ({"b": (math.nan, 1 / 3, 4 / 9)}, ValueError, "b[0] is nan; accepted: finite numbers"),
-    ({"c": 3}, ValueError, "c: has shape (); accepted: (s,)"),
-    ({"b": "abc"}, TypeError, "b: found 'abc'; accepted: real numbers of shape (s,)"),
-    ({"name": ""}, TypeError, "name: found ''; accepted: a name"),
-    ({"limit": 0.0}, ValueError, "limit: found 0.0; accepted: above 0, rad"),
-]
-
-
-@each(("change", "error", "message"), WRONG_TABLEAUX)
-def test_a_wrong_tableau_is_refused(change, error, message):
-    assert fa.runge_kutta("good", **GOOD).order == 3
-    with pytest.raises(error, match=re.escape(message)):
-        fa.runge_kutta(**{"name": "wrong", **GOOD, **change})
-
-
 @each("tableau", [RK4_TABLEAU, RK8_TABLEAU, RK9_TABLEAU])
 def test_a_digit_of_a_built_in_tableau_that_is_wrong_is_seen(tableau):
     """Each by itself: a node and a weight in the eighth digit, a row that keeps its sum by 1e-3."""
@@ -172,60 +138,6 @@ def test_a_digit_of_a_built_in_tableau_that_is_wrong_is_seen(tableau):
         wrong = (row[0] + 1e-3, row[1] - 1e-3, *row[2:])
         with pytest.raises(ValueError, match="a, b: a condition of order"):
             check(Tableau(**given | {"a": (*tableau.a[:i], wrong, *tableau.a[i + 1 :])}))
-
-
-def endless(w, t, h):
-    u = w(t)
-    while u[0] > 0.0:
-        u = (u[0] - h, u[1], u[2])
-    return (u,)
-
-
-FEW = "exponents: found a function that gives no tuple of exponents made from w(t); accepted: f(w, "
-OTHER = "at the constant rate (0.3, -0.5, 0.7) they add up to h "
-WRONG_EXPONENTS = [
-    ({"exponents": lambda w, t, h: ((h, h, h),)}, ValueError, FEW),
-    ({"exponents": lambda w, t, h: (w(t)[:2],)}, ValueError, FEW),
-    ({"exponents": lambda w, t, h: w(t)}, ValueError, FEW),
-    (
-        {"exponents": lambda w, t, h: (fa.kernels.vec3.scale(0.5 * h, w(t)),)},
-        ValueError,
-        OTHER + "(0.15, -0.25, 0.35); accepted: h w",
-    ),
-    ({"exponents": lambda w, t, h: (w(t),)}, ValueError, OTHER),
-    ({"exponents": endless}, TypeError, "exponents: "),
-    ({"exponents": lambda w, t: (w(t),)}, TypeError, "exponents: "),
-    ({"exponents": lambda w, t, h: (np.linalg.det(w(t)),)}, TypeError, "exponents: "),
-    ({"exponents": 3}, TypeError, "exponents: found 3; accepted: a function"),
-    ({"order": 0}, ValueError, "order: found 0; accepted: a whole number of at least 1"),
-    ({"limit": 0.0}, ValueError, "limit: found 0.0; accepted: above 0, rad"),
-    ({"limit": math.nan}, ValueError, "limit: found nan"),
-    ({"limit": "far"}, TypeError, "limit: found 'far'"),
-    ({"name": ""}, TypeError, "name: found ''; accepted: a name"),
-    ({"name": "rk4"}, ValueError, "name: found 'rk4', a method of the library; accepted: another"),
-]
-
-
-@each(("change", "error", "message"), WRONG_EXPONENTS)
-def test_exponents_that_are_none_are_refused(change, error, message):
-    with pytest.raises(error, match=re.escape(message)) as refusal:
-        fa.lie_group(**{"name": "wrong", "order": 2, "exponents": simpson, **change})
-    assert len(str(refusal.value).splitlines()) == 1
-
-
-def test_a_method_that_does_not_fit_is_refused():
-    for scene, given, method in (
-        (body_scene(), SPIN4, GAUSS),
-        (BODIES.scene, None, fa.METHODS["dmv2"]),
-    ):
-        with pytest.raises(
-            ValueError, match=rf"method: found '{method.name}'; .* \({method.name} "
-        ):
-            fa.propagate(scene, START, given, dt=0.1, n_steps=1, method=method)
-    with pytest.raises(
-        ValueError, match=r'method for representation "euler313": found .gauss.; accepted: rk4'
-    ):
-        run(BODIES.scene, GAUSS, representation="euler313")
 
 
 def test_an_order_that_is_not_there_is_warned_of():

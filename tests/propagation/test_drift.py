@@ -124,14 +124,6 @@ def test_a_body_that_is_lost_leaves_the_others_theirs():
                 assert np.isnan(now[-1, 1])
 
 
-def test_of_one_save_nothing_changes():
-    one = fa.propagate(BODIES.scene, START3, dt=0.05, n_steps=4)
-    with pytest.raises(
-        ValueError, match=r"^run: has 1 save, .*accepted: two or more \(save_every="
-    ):
-        fa.drift(one, BODIES.scene)
-
-
 @pytest.mark.parametrize("n", [None, 3])
 def test_momentum_of_a_slew_from_rest_is_relative_to_that_of_the_body(n):
     """The whole has none, so that the change is rounding at the size of the parts."""

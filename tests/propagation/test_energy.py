@@ -111,13 +111,3 @@ def test_drift_with_wheels():
     drift = fa.drift(traj, scene)
     assert drift.momentum.max() < 1e-13
     assert drift.energy.max() < 1e-13
-
-
-def test_refusals():
-    for shape in ((4,), (3, 4), (4, 3, 4)):
-        with pytest.raises(ValueError, match=r"inertia: has shape \(.*4,?\); accepted: \(3,\), "):
-            fa.angular_momentum(W, np.ones(shape))
-    with pytest.raises(ValueError, match="three bodies"):
-        fa.angular_momentum(W[:3], [[2.0, 1.0, 1.5]] * 3)
-    with pytest.raises(ValueError, match=r"accepted: one number of bodies"):
-        fa.angular_momentum(W, np.ones((N + 1, 3)))

@@ -281,27 +281,3 @@ def test_a_run_that_begins_at_an_event_of_the_motion():
             ends.append(t)
         assert len(ends) > 3
         assert np.diff(ends).min() > 0.5
-
-
-def test_what_is_refused():
-    done = fa.propagate(BODY, Q0, W0, **RUN, method="rk4")
-    with pytest.raises(ValueError, match="event_times: the run had no events"):
-        _ = done.event_times
-    for events, options, error, message in (
-        (EVENTS, {"method": "exact"}, ValueError, "method with events: found 'exact'; accepted: "),
-        ([height], {}, TypeError, r"events: found .*; accepted: a list of fastatt.event"),
-        ([fa.event(lambda t: t)], {}, TypeError, r"found .*; accepted: event\(t, q, w, p\)"),
-        ([fa.event(lambda t, q, w, v, r, p: t)], {}, ValueError, "no position is carried"),
-        (
-            fa.event(lambda t, q, w, p: w[0] - p[0]),
-            {},
-            TypeError,
-            "p empty, without params, is not followed: an error on every path, such as IndexError",
-        ),
-    ):
-        with pytest.raises(error, match=message):
-            fa.propagate(BODY, Q0, W0, **RUN, events=events, **{"method": "rk8", **options})
-    with pytest.raises(ValueError, match="direction: found 2; accepted: -1, 0, 1"):
-        fa.event(height, 2)
-    with pytest.raises(TypeError, match="g: found 3"):
-        fa.event(3)

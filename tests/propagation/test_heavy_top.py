@@ -13,7 +13,6 @@ import rigid_oracle as ro
 
 import fastatt as fa
 from fastatt import closed_form
-from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.energy import potential_energy
 
 UP, DOWN = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)
@@ -251,60 +250,8 @@ def test_dipole_in_an_oblique_field():
     assert 2.0 * oracle.attitude_error(run.q[-1], true.q) <= 1e-15 * (1.0 + 5.0 * 2.5)
 
 
-UNFIT = {
-    "a triaxial body": (
-        {"inertia": [BODY, (1.0, 1.1, 0.5)]},
-        fa.torques.HeavyTop(THIRD, 1.0),
-        r"inertia\[1\] is \(1, 1.1, 0.5\) with arm\[1\] \(0, 0, 1\) along principal axes; accepted",
-    ),
-    "an arm off the axis": (
-        {"inertia": BODY},
-        fa.torques.HeavyTop([THIRD, (0.0, 0.1, 1.0)], 1.0),
-        r"inertia\[1\] is \(1, 1, 0.5\) with arm\[1\] \(0, 0.1, 1\)",
-    ),
-    "another torque": (
-        {"inertia": BODY},
-        fa.torques.Damping(0.1),
-        r"torque: found Damping\(.*\); accepted by the closed form: none, or HeavyTop or Magnetic",
-    ),
-    "a table": (
-        {"inertia": BODY},
-        fa.torques.MagneticDipole(THIRD, fa.TimeSeries([0.0, 1.0], [THIRD, THIRD])),
-        "torque: found MagneticDipole",
-    ),
-    "no body": (
-        {"inertia": (1.0, 1.0, -0.5), "allow_unphysical": True},
-        fa.torques.HeavyTop(THIRD, 1.0),
-        "inertia: found the principal moment -0.5; accepted by the closed form: above 0",
-    ),
-}
-
-
-@pytest.mark.parametrize(("given", "torque", "message"), UNFIT.values(), ids=UNFIT)
-def test_scenes_without_a_closed_form(given, torque, message):
-    scene = fa.Scene(**given, torque=torque)
-    assert "exact" not in methods_for(scene)
-    with pytest.raises(ValueError, match=message):
-        fa.propagate(scene, UP, (0.0, 0.0, 1.0), dt=0.1, n_steps=1, method="exact")
-
-
 def test_turns_beyond_rounding_are_told():
     """Gravity may turn what starts from rest."""
     with pytest.warns(fa.StepWarning, match="found rotations by 2e"):
         run = fa.propagate(TOP, tilted(1.0), (0.0, 0.0, 0.0), dt=1e16, n_steps=1)
     assert run.status_counts() == {"STEP_TOO_LARGE": 1}
-
-
-BAD = {
-    "arm shape": ({"arm": (1.0, 2.0)}, r"HeavyTop.arm: has shape \(2,\)"),
-    "arm rows": ({"arm": [THIRD] * 3}, "arm, weight: has 3 rows; accepted: one, or 2 as of q0"),
-    "weight nan": ({"weight": math.nan}, "weight: found nan|weight is nan"),
-    "weight rows": ({"arm": [THIRD] * 2, "weight": np.ones(3)}, "for 2 and 3 bodies"),
-    "off the axis": ({"arm": (1.0, 0.0, 0.0)}, r"with arm \(1, 0, 0\) along principal axes"),
-}
-
-
-@pytest.mark.parametrize(("changed", "message"), BAD.values(), ids=BAD)
-def test_refusals(changed, message):
-    with pytest.raises(ValueError, match=message):
-        closed_form.heavy_top([UP, DOWN], (0.0, 0.0, 1.0), BODY, 1.0, **{**GOOD, **changed})

@@ -118,24 +118,6 @@ def test_motion_that_saves_do_not_show_warns():
         fa.interpolate(t, np.tile([1.0, 0.0, 0.0, 0.0], (6, 1)), w, 2.5)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"t": [0.0, 1.0, 1.0]}, "t: found .* rising or falling"),
-        ({"times": 2.1}, r"times\[0\] is 2.1; accepted: 0.0 to 2.0"),
-        ({"w": np.zeros((3, 2, 3))}, r"w: has shape \(3, 2, 3\); accepted: \(3, 3\)"),
-        ({"q": np.zeros((3, 4))}, r"q\[0\] is the zero quaternion"),
-        ({"w": np.full((3, 3), np.nan)}, r"w\[0, 0\] is nan; accepted: finite"),
-    ],
-)
-def test_refusals(change, message):
-    t = [0.0, 1.0, 2.0]
-    q, w = motion(t, BODIES[2:])
-    given = {"t": t, "q": q[:, 0], "w": w[:, 0], "times": 0.5} | change
-    with pytest.raises(ValueError, match=message):
-        fa.interpolate(**given)
-
-
 # a run
 
 
@@ -253,18 +235,6 @@ def test_bodies_that_an_event_stopped_are_left_out():
     for x, y in ((found.q, whole.q), (found.w, whole.w)):
         assert np.isnan(x[:, 1]).all()
         assert np.array_equal(x[:, [0, 2]], y[:, [0, 2]])
-
-
-def test_what_a_run_is_not_interpolated_with():
-    run = rest([0.0, 1.0, 2.0])
-    with pytest.raises(TypeError, match=r"q, w: found with a run; accepted: interpolate\(run, t"):
-        fa.interpolate(run, run.q, run.w, 0.5)
-    with pytest.raises(TypeError, match="times: found None"):
-        fa.interpolate(run)
-    with pytest.raises(ValueError, match=r"times\[1\] is 2.5; accepted: 0.0 to 2.0"):
-        fa.interpolate(run, [0.5, 2.5])
-    with pytest.raises(ValueError, match=r"t: found .*; accepted: two or more"):
-        fa.interpolate(rest([0.0]), 0.0)
 
 
 @pytest.mark.parametrize("backwards", [False, True])

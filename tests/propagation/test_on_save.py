@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,12 @@ def test_a_bar_counts_the_steps_of_all_bodies(bars):
     assert sum(done) == total == 70 * 130
 
 
+def test_progress_needs_its_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    with pytest.raises(ImportError, match="progress: needs tqdm"):
+        run(n_steps=1)
+
+
 def test_nothing_is_compiled_under_a_bar(bars, monkeypatch):
     """The wait is over, or said to be one, before there is anything to count."""
     opened_at_compilation = []
@@ -79,9 +87,3 @@ def test_steps_that_grow_past_the_limit_are_warned_of_once():
         said.append([str(warning.message) for warning in found])
     assert said[0] == said[1]
     assert len(said[0]) == 1
-
-
-def test_refusals():
-    for taker, wrong in ((3, TypeError), (print, ValueError)):
-        with pytest.raises(wrong, match="on_save: found"):
-            run(n_steps=1, on_save=taker)

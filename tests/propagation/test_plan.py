@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -41,16 +40,6 @@ def bits(run):
 
 def rates_of(scene, w=W0):
     return () if scene.kind == "rate" else (w,)
-
-
-def test_with_mass():
-    scene = fa.Scene(inertia=BODY, mass=2.0, force=(0.1, 0.2, 0.3))
-    options, v0 = {"dt": 0.05, "n_steps": 3, "method": "rk4"}, W0 + 1.0
-    plan = fa.plan(scene, N, position=False, **options)
-    assert bits(plan(Q0, W0, v0=v0)) == bits(fa.propagate(scene, Q0, W0, v0=v0, **options))
-    assert list(plan(Q0, W0, v0=v0).carried) == ["w", "v"]
-    with pytest.raises(ValueError, match=r"r0: accepted, and needed.*position=True"):
-        plan(Q0, W0, v0=v0, r0=W0)
 
 
 def test_one_body():
@@ -120,13 +109,6 @@ def test_numbers_beyond_the_precision_are_flagged():
     assert not plan(Q0, W0).status.any()
 
 
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy])
-def test_copies(copied):
-    plan = fa.plan(SCENES["torqued"], N, dt=0.05, n_steps=4, save_every=2, method="rk4", dtype="f4")
-    run = plan(Q0, W0, t0=1.0)
-    assert bits(copied(plan)(Q0, W0, t0=1.0)) == bits(copied(run)) == bits(run)
-
-
 def test_several_threads():
     """Each finds what it finds alone, and may read what another ran."""
     plan = fa.plan(SCENES["torqued"], N, dt=1e-3, n_steps=2000, method="rk4")
@@ -136,22 +118,6 @@ def test_several_threads():
         runs = list(pool.map(lambda pair: plan(*pair), values))
         assert list(pool.map(bits, runs)) == alone
         assert len(set(map(str, pool.map(lambda _: bits(runs[0]), range(8))))) == 1
-
-
-def test_refusals():
-    """What a call or a plan has beside ``propagate``, whose checks they share."""
-    free, own, steps = SCENES["free"], OWN, {"dt": 0.05, "n_steps": 3, "method": "rk4"}
-    for make, message in (
-        (lambda: fa.plan(free, N, **steps)(Q0[:3], W0[:3]), "q0: found 3 bodies; accepted: 5"),
-        (lambda: fa.plan(free, N, **steps)(Q0, W0, params=(1.0,)), "params: found, but the scene"),
-        (lambda: fa.plan(own, N, **steps)(Q0, W0, params=(1.0,)), "params"),
-        (lambda: fa.plan(own, N, **steps)(Q0, W0, params=(1.0, np.nan)), r"params\[1\] is nan"),
-        (lambda: fa.plan(free, 0, **steps), "n_bodies: found 0"),
-        (lambda: fa.plan(free, 2.5, **steps), r"n_bodies: found 2\.5"),
-        (lambda: fa.plan(free, N, **steps, position=True), "position: found True, but this scene"),
-    ):
-        with pytest.raises((ValueError, TypeError), match=message):
-            make()
 
 
 def test_a_plan_to_a_time_has_its_start():

@@ -31,11 +31,6 @@ def test_shared_and_own_parameters_agree_to_round_off():
     assert angle(own.q, run(BODIES.shared, Q0).q).max() < STEPS * 4 * EPS
 
 
-def test_one_start_for_many_rates_is_not_guessed():
-    with pytest.raises(ValueError, match=r"for 200 bodies; accepted: 1, .* q0 of shape \(200, 4\)"):
-        run(BODIES, START)
-
-
 @pytest.mark.parametrize("method", ["magnus4", "cf4"])
 def test_saves_do_not_change_a_body_that_comes_to_turn_fast(method):
     """From below π a step to above and back within a block of steps."""

@@ -361,44 +361,6 @@ def scene_of(torque, **options):
     return fa.Scene(inertia=(1.0, 1.0, 1.0), torque=torque, **options)
 
 
-@pytest.mark.parametrize(("make", "error", "message"), [
-    (lambda: scene_of(T.Sum({"a": T.Custom(growth, reads="b"), "b c": HELD})), ValueError,
-     r"^Sum.terms: found the name 'b c'; accepted: identifiers"),
-    (lambda: scene_of(T.Sum({"a": T.Sum([HELD])})), ValueError, "^Sum.terms: found a Sum with"),
-    (lambda: scene_of(T.Sum([T.Sum({"b": HELD}), T.Sum({"b": HELD})])), ValueError,
-     "^Sum.terms: found the name 'b' twice"),
-    (lambda: scene_of(T.Sum({"a": T.Custom(growth, states=1, reads="c"), "b": HELD})), ValueError,
-     "^torque: Sum: reads: found 'c'; accepted: 'a', 'b'$"),
-    (lambda: scene_of(T.Custom(growth, states=1, reads="c")), ValueError,
-     "^torque: reads: found 'c'; accepted: names of terms that show numbers, of torques.Sum"),
-    (lambda: scene_of(T.Sum({"a": T.QuaternionPD(1.0, 1.0, target="b"), "b": HELD})), ValueError,
-     "QuaternionPD.target: found 'b', which has 3 numbers; accepted: 4"),
-    (lambda: scene_of(T.Sum({"a": T.Damping("b"), "b": HELD})), (ValueError, TypeError),
-     "Damping.coefficient: found 'b'"),
-    (lambda: scene_of(T.Sum([HELD] * 64)), ValueError,
-     "^torque: found 64 sampled controllers; accepted: up to 63$"),
-    (lambda: T.Custom(held, reads=3), TypeError, "^Custom.reads: found 3; accepted: a name"),
-    (lambda: T.SampledControl(held, 1.0, reads=[3]), TypeError, "^SampledControl.reads: found"),
-    (lambda: scene_of(T.Sum({"a": T.Custom(held, reads="b"), "b": HELD})), TypeError,
-     r"torque\(t, q, w, b, p\), or with states=n .*=True torque\(t, q, w, v, r, b, p\)$"),
-    (lambda: scene_of(T.ReactionWheels(np.eye(3), 0.1, HELD)), ValueError,
-     "ReactionWheels.command: found SampledControl with holds, which exerts nothing"),
-    (lambda: fa.Scene(rate=fa.rates.Sum({"a": fa.rates.Constant((1.0, 0.0, 0.0))})), ValueError,
-     "^rate: found a Sum with names, a; accepted: a sequence of terms"),
-    (lambda: scene_of(FREE, mass=1.0, force=fa.forces.Sum({"a": fa.forces.Constant((0, 0, 0))})),
-     ValueError, "^force: found a Sum with names"),
-    (lambda: fa.propagate(scene_of(T.Sum({"b": HELD})), [1, 0, 0, 0], [0, 0, 0], s0={"c": [0]},
-                          dt=0.1, n_steps=1), ValueError, r"^s0: found 'c'; accepted: 'b'$"),
-    (lambda: fa.propagate(unloading()[0], [1, 0, 0, 0], [0, 0, 0], s0={}, dt=0.1, n_steps=1),
-     ValueError, r"^s0\['wheels'\]: is missing"),
-    (lambda: fa.propagate(unloading()[0], [1, 0, 0, 0], [0, 0, 0], s0={"wheels": [0.0, 1.0]},
-                          dt=0.1, n_steps=1), ValueError, r"^s0\['wheels'\].*\(3,\) or \(N, 3\)"),
-])  # fmt: skip
-def test_what_is_refused(make, error, message):
-    with pytest.raises(error, match=message):
-        make()
-
-
 def pulsed(t, q, w, on, p):
     """A valve that is open for a time after each whole second."""
     since = t - math.floor(t)

@@ -85,25 +85,3 @@ def test_wheels_that_start_beyond_their_largest_speed(torque):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         fa.propagate(scene, Q0, W0, s0=WHEELS.momenta([399.0, -399.0, 1.0], W0), **steps)
-
-
-def test_drift_by_another_scene_is_refused():
-    body = fa.Scene(inertia=(3.0, 2.0, 1.0))
-    run = fa.propagate(body, Q0, W0, dt=0.1, n_steps=5, save_every=1)
-    for other in (
-        fa.Scene(inertia=(3.0, 2.5, 1.0)), fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0))),
-        fa.Scene(inertia=(3.0, 2.0, 1.0), torque=fa.torques.Damping(0.1)),
-    ):  # fmt: skip
-        with pytest.raises(ValueError, match="scene: differs from that of the run"):
-            fa.drift(run, other)
-    fa.drift(run, fa.Scene(inertia=(3.0, 2.0, 1.0)))
-
-
-@each("power", (2, 3, 6))
-def test_exponents_that_do_not_add_up(power):
-    def shifted(w, t, h):
-        u = w(t + 0.5 * h)
-        return ((h * u[0] + 1e-4 * h**power, h * u[1], h * u[2]),)
-
-    with pytest.raises(ValueError, match="exponents: at the constant rate"):
-        fa.lie_group("shifted", order=2, exponents=shifted)

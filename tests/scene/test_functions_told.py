@@ -69,30 +69,11 @@ def test_a_function_that_differs_for_q_and_minus_q(name, representation):
     fa.propagate(scene, *START, **RUN, **initial(scene), method="rk4")
 
 
-def test_an_event_that_differs_for_q_and_minus_q():
-    odd = fa.event(lambda t, q, w, p: q[1] - 0.2)
-    with pytest.raises(ValueError, match=r"representation: found dcm with .*−q"):
-        fa.propagate(
-            fa.Scene(inertia=INERTIA), *START, **RUN, method="rk8", representation="dcm", events=odd
-        )
-
-
 @each("torque", (even_by_choice, even_by_product))
 def test_a_function_of_the_attitude_alone_is_accepted(torque):
     fa.propagate(
         fa.Scene(inertia=INERTIA, torque=torque), *START, **RUN, method="rk8", representation="dcm"
     )
-
-
-@each("function, options", (
-    (lambda t, w, q, p: w, {}),
-    (lambda time, omega, quat, p: omega, {}),
-    (lambda t, q, w, p, s: ((0.0, 0.0, 0.0), (s[0],)), {"states": 1}),
-    (lambda q, t, w, p: w, {}),
-))  # fmt: skip
-def test_known_names_in_another_order(function, options):
-    with pytest.raises(TypeError, match="in the place of"):
-        fa.Scene(inertia=INERTIA, torque=function, **options)
 
 
 @each("function", (
@@ -101,12 +82,6 @@ def test_known_names_in_another_order(function, options):
 ))  # fmt: skip
 def test_other_names_are_accepted(function):
     fa.Scene(inertia=INERTIA, torque=function)
-
-
-def test_events_in_another_order():
-    event = fa.event(lambda t, w, q, p: w[0])
-    with pytest.raises(TypeError, match="in the place of"):
-        fa.propagate(fa.Scene(inertia=INERTIA), *START, **RUN, method="rk8", events=event)
 
 
 def pushed(n):
@@ -135,11 +110,3 @@ def test_parameters_that_all_bodies_share():
         fa.propagate(scene, q0[0], w0[0], **RUN)
         fa.propagate(both, q0, w0, **RUN)
         fa.propagate(each_own, q0, w0, **RUN)
-
-
-@each("g", (
-    lambda t, q, w, p: w[0] > 0.3, lambda t, q, w, p: bool(w[0] > 0.3 and t > 1.0),
-))  # fmt: skip
-def test_an_event_that_is_true_or_false(g):
-    with pytest.raises(TypeError, match="True or False"):
-        fa.propagate(fa.Scene(inertia=INERTIA), *START, **RUN, method="rk8", events=fa.event(g))

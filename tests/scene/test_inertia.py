@@ -90,29 +90,6 @@ def tilted(moments):
     return 0.5 * (a + a.T)
 
 
-SKEW = [[1.0, 0.1, 0.0], [0.2, 1.0, 0.0], [0.0, 0.0, 1.0]]
-REFUSED = [
-    ([1.0, 0.0, 1.0], "inertia is (1, 0, 1): a principal moment is not above 0"),
-    ([1.0, -1.0, 1.0], "inertia is (1, -1, 1): a principal moment is not above 0"),
-    ([1.0, 1.0, 2.6], "inertia is (1, 1, 2.6): no body has one moment above the sum of the others"),
-    ([[1.0, 1.0, 1.0]] * 2 + [[3.0, 1.0, 1.0], [1.0, 1.0, 1.0]], "inertia[2] is (3, 1, 1)"),
-    ([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0]], "inertia[1] is (1, 0, 1)"),
-    (SKEW, "inertia: the tensor is not symmetric, elements differ by 0.1"),
-    ([[1.0, 1.0, 1.0], [1.0, 1.0, 2.0], [1.0, 1.0, 1.0]], "moments of three bodies as (3, 3, 3)"),
-    ([np.eye(3), SKEW], "inertia[1]: the tensor is not symmetric"),
-    (tilted([-1.0, 1.0, 1.0]), "a principal moment is not above 0"),
-    (tilted([1.0, 1.0, 3.0]), "no body has one moment above the sum of the others"),
-]
-
-
-@each(("inertia", "message"), REFUSED)
-def test_refused(inertia, message):
-    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
-        fa.Scene(inertia=inertia)
-    assert "accepted: " in str(refusal.value)
-    assert "allow_unphysical=True" in str(refusal.value)
-
-
 @each("size", [1e-90, 1.0, 7e4])
 @each("allow_unphysical", [False, True])
 def test_a_rod_is_refused_whatever_its_tensor_rounds_to(size, allow_unphysical):
@@ -125,31 +102,11 @@ def test_a_rod_is_refused_whatever_its_tensor_rounds_to(size, allow_unphysical):
             fa.Scene(inertia=0.5 * (rod + rod.T), allow_unphysical=allow_unphysical)
 
 
-SHAPES = [
-    ([1.0, 2.0], ValueError, "inertia: has shape (2,); accepted: (3,), (3, 3), (N, 3)"),
-    (1.0, ValueError, "inertia: has shape ()"),
-    (np.ones((2, 3, 2)), ValueError, "inertia: has shape (2, 3, 2)"),
-    (np.zeros((0, 3)), ValueError, "inertia: has shape (0, 3)"),
-    ([1.0, np.nan, 1.0], ValueError, "inertia[1] is nan; accepted: finite numbers"),
-    (np.full((2, 3, 3), np.inf), ValueError, "inertia[0, 0, 0] is inf"),
-    ("round", TypeError, "inertia: found 'round'; accepted: real numbers"),
-    ([1j, 1.0, 1.0], TypeError, "inertia: found"),
-]
-
-
-@each(("inertia", "error", "message"), SHAPES)
-def test_shapes(inertia, error, message):
-    with pytest.raises(error, match=re.escape(message)):
-        fa.Scene(inertia=inertia)
-
-
 def test_triangle_may_be_broken_by_a_quarter():
     """As estimates from flight and the body (2, 1, 2/3) do."""
     assert TRIANGLE == 1.25
     for fine in ([2.0, 1.0, 2.0 / 3.0], [1.0, 1.0, 2.5], [1.0, 1.0, 2.0], [1.0, 1e3, 1e3]):
         assert fa.Scene(inertia=fine).kind in ("free", "symmetric")
-    with pytest.raises(ValueError, match="by more than 25%"):
-        fa.Scene(inertia=[1.0, 1.0, 2.5 * (1.0 + 1e-9)])
 
 
 def test_allow_unphysical():
@@ -158,8 +115,6 @@ def test_allow_unphysical():
     skew = np.array([[1.0, 0.1, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 1.0]])
     found = principal(skew, allow_unphysical=True)
     assert np.abs(rebuilt(found) - 0.5 * (skew + skew.T)).max() < 8 * EPS
-    with pytest.raises(ValueError, match="a principal moment is 0; accepted: any other"):
-        fa.Scene(inertia=[1.0, 0.0, 1.0], allow_unphysical=True)
 
 
 def rows_of_bodies(rng, n):
@@ -211,14 +166,6 @@ def test_no_tensor_of_a_body_reads_as_three_bodies():
     for m in moments:
         turned = tensors(m, exp(rng.normal(size=3)))
         assert is_tensor(0.5 * (turned + turned.T))
-
-
-def test_number_of_bodies():
-    with pytest.raises(ValueError, match="inertia: found 4 bodies; accepted: 5"):
-        fa.Scene(inertia=np.ones((4, 3))).packed(5)
-    with pytest.raises(ValueError, match=r"accepted: 1, .* or 4 with q0 of shape \(4, 4\)"):
-        fa.Scene(inertia=np.ones((4, 3))).packed(1)
-    assert len(fa.Scene(inertia=np.ones((4, 3))).packed(4).params) == 4
 
 
 # kinds

@@ -7,7 +7,6 @@ import pickle
 
 import numpy as np
 import pytest
-from each import each
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
@@ -254,53 +253,6 @@ def test_one_wheel_takes_a_number():
     assert run.w[-1, 2] == pytest.approx(0.35 - 0.2 / 2.0 * 5.0, abs=1e-14)
     speed = 10.0 + 0.2 * 5.0 * (1.0 / 0.1 + 1.0 / 2.0)
     assert one.speeds(run.s, run.w)[-1, 0] == pytest.approx(speed, abs=1e-12)
-
-
-@each(
-    ("options", "error", "message"),
-    [
-        ({"axes": [1.0, 0.0, 0.0]}, ValueError, r"ReactionWheels.axes: .*accepted: \(K, 3\)"),
-        ({"axes": [[2.0, 0.0, 0.0]]}, ValueError, r"ReactionWheels.axes: its length"),
-        ({"inertia": [1.0, 2.0]}, ValueError, r"inertia: .*accepted: a number, \(1,\) or \(4,\)"),
-        ({"inertia": 0.0}, ValueError, r"inertia is 0.0; accepted: above 0"),
-        ({"viscous": -1.0}, ValueError, r"viscous is -1.0; accepted: 0 or more"),
-        ({"max_torque": [1, 1, 1, -0.1]}, ValueError, r"max_torque\[3\] is -0.1; accepted: 0 or m"),
-        ({"max_speed": 0.0}, ValueError, r"max_speed is 0.0; accepted: above 0"),
-        ({"axes": AXES.T}, ValueError, r"ReactionWheels.axes: .*accepted: \(K, 3\)"),
-        ({"command": 3.0}, TypeError, r"command: found 3.0; accepted: a function command\("),
-        ({"command": fa.torques.Damping(1.0), "params": 1.0}, ValueError, r"params: found beside"),
-        ({"command": fa.torques.Damping(1.0), "period": 1.0}, ValueError, r"period: found beside"),
-        ({"command": fa.torques.Damping(1.0), "states": 1}, ValueError, r"states: found beside"),
-        ({"command": spin_up, "period": 0.0}, ValueError, r"period.*0.0; accepted: above 0"),
-        ({"states": 2}, ValueError, r"states: found without command; accepted: with a function"),
-    ],
-)
-def test_what_is_refused(options, error, message):
-    """When the wheels are made."""
-    given = {"axes": AXES, "inertia": INERTIA} | options
-    with pytest.raises(error, match=message):
-        fa.torques.ReactionWheels(**given)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"command": lambda t, q, w, s, p: (t, t)}, r"that is tuple of 2; accepted: 4 numbers"),
-        ({"command": spin_up, "states": 2}, r"spin_up\(t, q, w, s, p\)"),
-    ],
-)
-def test_what_a_function_returns_is_checked_by_the_scene(options, message):
-    driven = wheels(**options)
-    with pytest.raises(TypeError, match=message):
-        fa.Scene(inertia=WHOLE, torque=driven)
-
-
-@pytest.mark.parametrize(("whole", "moment"), [((3.0, 2.0, 1.0), 2.5), (np.eye(3), 1.0)])
-def test_a_body_without_its_wheels_has_positive_moments(whole, moment):
-    with pytest.raises(ValueError, match=r"inertia: its lowest moment .*; accepted: above 0"):
-        fa.torques.ReactionWheels(np.eye(3), moment).body_inertia(whole)
-    with pytest.raises(ValueError, match=r"lowest moment without wheels\[1\] is -1"):
-        fa.torques.ReactionWheels([[0, 0, 1]], [[0.1], [4.0]]).body_inertia((3.0, 3.0, 3.0))
 
 
 def test_a_wheel_that_failed_gives_no_torque():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import re
 from dataclasses import fields, replace
 
 import numpy as np
@@ -207,43 +206,6 @@ def test_some_bodies_of_a_scene(name, bodies):
     if name == "shared inertia":
         assert some.inertia is not None
         assert np.shape(some.inertia) == (3,)
-
-
-def test_bodies_that_a_scene_has_not():
-    scene = fa.Scene(inertia=vectors(3))
-    with pytest.raises(IndexError, match="index 5 is out of bounds"):
-        scene[5]
-    with pytest.raises(IndexError, match="too many indices"):
-        scene[0, 1]
-    with pytest.raises(ValueError, match=re.escape("inertia: has shape (0, 3)")):
-        scene[:0]
-    with pytest.raises(TypeError, match="not iterable"):
-        iter(scene)
-
-
-# no body
-
-NOTHING = np.zeros((0, 3))
-EMPTY = [
-    (lambda: fa.Scene(inertia=NOTHING), "inertia: has shape (0, 3) and is empty; accepted: (3,)"),
-    (lambda: fa.Scene(inertia=np.zeros((0, 3, 3))), "inertia: has shape (0, 3, 3) and is empty"),
-    (lambda: fa.Scene(rate=fa.rates.Constant(NOTHING)), "Constant.w: has shape (0, 3)"),
-    (lambda: fa.Scene(rate=fa.rates.Coning([], 1.0)), "Coning.angle: has shape (0,) and is empty"),
-    (lambda: fa.Scene(rate=given_rate, params=NOTHING), "params: has shape (0, 3) and is empty"),
-    (lambda: fa.Scene(inertia=(1, 1, 1), mass=[], force=(0, 0, 1)), "mass: has shape (0,) and is "),
-    (
-        lambda: fa.propagate(
-            fa.Scene(inertia=(1, 1, 1)), np.zeros((0, 4)), (0, 0, 1), dt=1.0, n_steps=1
-        ),
-        "q0: has shape (0, 4) and is empty; accepted: (4,) or (N, 4)",
-    ),
-]
-
-
-@each(("make", "message"), EMPTY)
-def test_a_scene_of_no_bodies_is_refused(make, message):
-    with pytest.raises(ValueError, match=re.escape(message)):
-        make()
 
 
 def test_a_scene_of_many_bodies_is_printed_in_a_line():

@@ -107,34 +107,3 @@ def test_tensor_inertia_and_matrices():
     assert np.abs(traj.v[-1] @ c - plain.v[-1]).max() < 1e-13
     assert np.abs(traj.r[-1] - plain.r[-1]).max() < 1e-13
     assert angle(fa.quat_multiply(traj.q[-1], turn), plain.q[-1]) < 1e-13
-
-
-WRONG = [
-    ({"mass": 1.0}, "force: is missing; mass and force go together"),
-    ({"force": THRUST}, "mass: is missing; mass and force go together"),
-    ({"mass": 0.0, "force": THRUST}, "mass is 0.0; accepted: above 0, kg"),
-    ({"mass": [1.0, -2.0], "force": THRUST}, r"mass\[1\] is -2.0; accepted: above 0, kg"),
-    ({"mass": 1.0, "force": (1, 2)}, r"force: Constant.force: has shape \(2,\); accepted:"),
-]
-
-
-@pytest.mark.parametrize(("given", "message"), WRONG)
-def test_refusals(given, message):
-    with pytest.raises(ValueError, match=message):
-        fa.Scene(inertia=INERTIA, **given)
-
-
-def test_what_a_run_needs():
-    with pytest.raises(ValueError, match="v0: is missing; a scene with mass needs"):
-        fa.propagate(BODY, START, SPIN, dt=0.1, n_steps=1)
-    with pytest.raises(ValueError, match="r: is not carried; it is in a scene with mass"):
-        _ = run(BODY, "rk8", 1, r0=None).r
-    plain = fa.Scene(inertia=INERTIA)
-    with pytest.raises(ValueError, match="v0: found, but this scene has none; a scene with mass"):
-        fa.propagate(plain, START, SPIN, v0=V0, dt=0.1, n_steps=1)
-    with pytest.raises(
-        ValueError, match=r"method: found 'cf4'; accepted: rk4, rk8, rk9, gbs16 .cf4 steps no vel"
-    ):
-        run(BODY, "cf4", 10)
-    with pytest.raises(TypeError, match="force: found float; accepted: a model of"):
-        fa.Scene(inertia=INERTIA, mass=1.0, force=3.0)

@@ -169,11 +169,6 @@ def ralston():
     )
 
 
-def middle(w, t, h):
-    u = w(t + 0.5 * h)
-    return ((h * u[0], h * u[1], h * u[2]),)
-
-
 def test_methods_of_ones_own_stand_beside_names():
     methods = ["rk4", ralston()]
     found = fa.work_precision(
@@ -184,34 +179,7 @@ def test_methods_of_ones_own_stand_beside_names():
     assert np.median([x for x in orders if x is not None]) == pytest.approx(3, abs=0.2)
 
 
-def test_what_stands_twice_or_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match="methods: found 'rk4' twice; accepted: different names"):
-        cases_of(CONING, ["rk4", "rk4"], ["quat"], ["float64"])
-    with pytest.raises(ValueError, match=r"methods, .*: found \[\], .* of which nothing fits"):
-        cases_of(CONING, [], ["quat"], ["float64"])
-    mine = fa.lie_group("mine", order=2, exponents=middle)
-    with pytest.raises(ValueError, match=r"methods: found mine, for rate; accepted .* \(free\): "):
-        cases_of(FREE, [mine], ["quat"], ["float64"])
-    assert cases_of(FREE, [fa.METHODS["rk4"]], ["quat"], ["float64"]) == [Case("rk4")]
-
-
 def test_status_is_counted():
     fast = Problem(Ensemble(FREE, Q0, 20.0 * W0), T_END)
     row = measure(fast, reference(fast).end, Case("rk4"), 20, repeats=1)
     assert "STEP_TOO_LARGE" in row.status
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"t_end": 0.0}, "t_end: found 0.0"),
-        ({"methods": ["exact"]}, "methods: found 'exact'; accepted: lie_euler"),
-        ({"representations": ["gibbs"]}, "representations: found 'gibbs'"),
-        ({"dtypes": ["float16"]}, "dtypes: found 'float16'"),
-        ({"methods": ["magnus4"], "representations": ["euler313"]}, "of which nothing fits"),
-        ({"sample": 0}, "sample: found 0"),
-    ],
-)
-def test_bad_input(change, message):
-    with pytest.raises(ValueError, match=message):
-        fa.work_precision(CONING, Q0, **{"t_end": T_END, **change})

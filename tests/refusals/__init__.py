@@ -1,0 +1,1 @@
+"""What is refused, in tables of messages and calls."""
