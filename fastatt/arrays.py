@@ -29,12 +29,6 @@ def on_rows(formula: Any, *arrays: NDArray[Any], after: int | None) -> NDArray[A
     return rows(formula, inputs, (after,), precision)(*arrays)[0]
 
 
-@cache
-def _of_unit(formula: Any) -> Any:
-    """A formula of which the first argument, a quaternion, is normalised."""
-    return lambda q, *more: formula(quat.normalise(q), *more)
-
-
 def floats(name: str, value: ArrayLike, tail: tuple[int, ...]) -> NDArray[Any]:
     """Float32 or float64 numbers whose last axes are ``tail``."""
     array = checks.numbers(name, value, "real numbers")
@@ -67,12 +61,6 @@ def each_shorter(angles: list[Decimal]) -> list[Decimal]:
     return [x.remainder_near(4 * _PI) for x in angles]
 
 
-def _length_shorter(u: list[Decimal]) -> list[Decimal]:
-    """A rotation vector whose length is less by a multiple of 4π."""
-    length = sum((x * x for x in u), Decimal(0)).sqrt()
-    return [x * length.remainder_near(4 * _PI) / length for x in u]
-
-
 def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """Convert quaternions to direction cosine matrices.
 
@@ -101,6 +89,12 @@ def quat_to_dcm(q: ArrayLike) -> NDArray[Any]:
     """
     elements = on_rows(_of_unit(dcm.from_quat), floats("q", q, (4,)), after=9)
     return elements.reshape((*elements.shape[:-1], 3, 3))
+
+
+@cache
+def _of_unit(formula: Any) -> Any:
+    """A formula of which the first argument, a quaternion, is normalised."""
+    return lambda q, *more: formula(quat.normalise(q), *more)
 
 
 def dcm_to_quat(C: ArrayLike) -> NDArray[Any]:
@@ -236,6 +230,12 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     [0.8776, 0.0, 0.0, 0.4794]
     """
     return on_rows(quat.exp, angles_of("u", u, _length_shorter), after=4)
+
+
+def _length_shorter(u: list[Decimal]) -> list[Decimal]:
+    """A rotation vector whose length is less by a multiple of 4π."""
+    length = sum((x * x for x in u), Decimal(0)).sqrt()
+    return [x * length.remainder_near(4 * _PI) / length for x in u]
 
 
 def quat_to_rotation_vector(q: ArrayLike) -> NDArray[Any]:

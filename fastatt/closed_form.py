@@ -238,16 +238,6 @@ def heavy_top(
     return _at_times(solution_of(scene), q0, w0, t, dtype, n_threads)
 
 
-def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
-    """The number of bodies, None if no argument has rows; refuses different numbers but one."""
-    rows = {name: len(x) for name, x in arguments.items() if x.ndim == 2}
-    first = next((name for name, n in rows.items() if n > 1), "")
-    for name, n in rows.items():
-        if n not in (1, rows.get(first, 1)):
-            raise ValueError(f"{name}: has {n} rows; accepted: one, or {rows[first]} as of {first}")
-    return rows.get(first, 1 if rows else None)
-
-
 def _at_times(
     motion: BodySolution,
     q0: ArrayLike,
@@ -272,6 +262,16 @@ def _at_times(
         evaluate(motion, first, flat, threads, (q, w))
     shape = times.shape if n is None else (*times.shape, n)
     return q.reshape((*shape, 4)), w.reshape((*shape, 3))
+
+
+def _same_rows(arguments: dict[str, NDArray[Any]]) -> int | None:
+    """The number of bodies, None if no argument has rows; refuses different numbers but one."""
+    rows = {name: len(x) for name, x in arguments.items() if x.ndim == 2}
+    first = next((name for name, n in rows.items() if n > 1), "")
+    for name, n in rows.items():
+        if n not in (1, rows.get(first, 1)):
+            raise ValueError(f"{name}: has {n} rows; accepted: one, or {rows[first]} as of {first}")
+    return rows.get(first, 1 if rows else None)
 
 
 # inputs with their sizes; axes are those of ``Principal``, if there are any
@@ -361,6 +361,22 @@ def _check_above_zero(body: Principal) -> None:
         )
 
 
+def evaluate(
+    motion: BodySolution,
+    start: tuple[NDArray[Any], NDArray[Any]],
+    t: NDArray[Any],
+    threads: int,
+    out: tuple[NDArray[Any], NDArray[Any]],
+    attitude: Attitude = QUATERNION,
+) -> None:
+    """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
+    moments, axes = motion.body
+    state = _function(motion.solution, precision_of(start[0].dtype), attitude, axes is not None)
+    # axes that are the body axes are not read
+    bodies = *start, moments, np.zeros(4) if axes is None else axes, motion.pull
+    state(*bodies, t[:, None], n_threads=threads, out=out)
+
+
 @functools.cache
 def _function(
     solution: Solution, precision: str, attitude: Attitude, is_turned: bool
@@ -385,22 +401,6 @@ def _function(
 
     native, results = processor().fuses, (attitude.stored, 3)
     return RowFunction(state, _INPUTS, results, precision, native=native, constants=constants)
-
-
-def evaluate(
-    motion: BodySolution,
-    start: tuple[NDArray[Any], NDArray[Any]],
-    t: NDArray[Any],
-    threads: int,
-    out: tuple[NDArray[Any], NDArray[Any]],
-    attitude: Attitude = QUATERNION,
-) -> None:
-    """Write what a trajectory holds of the attitudes (T, N, k), and w (T, N, 3), at times (T,)."""
-    moments, axes = motion.body
-    state = _function(motion.solution, precision_of(start[0].dtype), attitude, axes is not None)
-    # axes that are the body axes are not read
-    bodies = *start, moments, np.zeros(4) if axes is None else axes, motion.pull
-    state(*bodies, t[:, None], n_threads=threads, out=out)
 
 
 def turned(w: NDArray[Any], t: NDArray[Any], gain: NDArray[np.float64]) -> NDArray[np.float64]:

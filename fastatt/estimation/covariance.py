@@ -23,71 +23,6 @@ Formula = Callable[..., Any]
 error_state = kernels("error_state")
 
 
-# formulas for the numbers of a row
-
-
-def _transition(w: Vector, h: Any) -> Any:
-    return error_state.transition_matrix(error_state.transition(scale(h, w), h))
-
-
-def _noise(w: Vector, h: Any, v: Vector) -> Any:
-    return error_state.matrix(error_state.noise(scale(h, w), h, *v))
-
-
-def _predict(w: Vector, h: Any, v: Vector, p: Vector) -> Any:
-    u = scale(h, w)
-    phi, noise = error_state.transition(u, h), error_state.noise(u, h, *v)
-    return error_state.matrix(error_state.predict(error_state.blocks(p), phi, noise))
-
-
-def _to_inertial(c: Vector, p: Vector) -> Any:
-    return error_state.matrix(error_state.to_inertial(c, error_state.blocks(p)))
-
-
-def _to_body(c: Vector, p: Vector) -> Any:
-    return error_state.matrix(error_state.to_body(c, error_state.blocks(p)))
-
-
-def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
-    """Apply a formula to arrays (..., width), or numbers (), by name: (..., side, side)."""
-    inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
-    precision = precision_of(np.result_type(*arrays.values()))
-    (flat,) = rows(formula, inputs, (side * side,), precision)(*arrays.values())
-    return flat.reshape(*flat.shape[:-1], side, side)
-
-
-def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
-    return checks.array(name, value, "(3,) or (N, 3)")
-
-
-def _covariances(covariance: ArrayLike) -> NDArray[Any]:
-    matrices = covariances("covariance", covariance, "(6, 6) or (N, 6, 6)")
-    return matrices.reshape(*matrices.shape[:-2], 36)
-
-
-def _over(
-    formula: Formula,
-    w: ArrayLike,
-    dt: float,
-    covariance: NDArray[Any] | None = None,
-    **densities: float,
-) -> NDArray[Any]:
-    """Apply a formula to rates over ``dt`` s, with noise densities and covariances, if any."""
-    rates = _vectors("w", w)
-    inputs = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
-    if densities:
-        variances = [at_least_zero(*density) ** 2 for density in densities.items()]
-        inputs["v"] = np.array(variances, dtype=rates.dtype)
-    if covariance is not None:
-        inputs["p"] = covariance
-        _same_rows(covariance=covariance, w=rates)
-    return _apply(formula, 6, **inputs)
-
-
-def _same_rows(**arrays: NDArray[Any]) -> None:
-    common_number("rows", **{name: x for name, x in arrays.items() if x.ndim == 2})
-
-
 def right_jacobian(u: ArrayLike) -> NDArray[Any]:
     """Right Jacobian Jr of rotation vectors: exp(u + δ) ≈ exp(u) exp(Jr δ).
 
@@ -117,6 +52,18 @@ def right_jacobian(u: ArrayLike) -> NDArray[Any]:
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     return _apply(so3.right_jacobian, 3, u=_vectors("u", u))
+
+
+def _apply(formula: Formula, side: int, **arrays: NDArray[Any]) -> NDArray[Any]:
+    """Apply a formula to arrays (..., width), or numbers (), by name: (..., side, side)."""
+    inputs = {name: x.shape[-1] if x.ndim else None for name, x in arrays.items()}
+    precision = precision_of(np.result_type(*arrays.values()))
+    (flat,) = rows(formula, inputs, (side * side,), precision)(*arrays.values())
+    return flat.reshape(*flat.shape[:-1], side, side)
+
+
+def _vectors(name: str, value: ArrayLike) -> NDArray[Any]:
+    return checks.array(name, value, "(3,) or (N, 3)")
 
 
 def left_jacobian(u: ArrayLike) -> NDArray[Any]:
@@ -230,6 +177,33 @@ def transition_matrix(w: ArrayLike, dt: float) -> NDArray[Any]:
     return _over(_transition, w, dt)
 
 
+def _over(
+    formula: Formula,
+    w: ArrayLike,
+    dt: float,
+    covariance: NDArray[Any] | None = None,
+    **densities: float,
+) -> NDArray[Any]:
+    """Apply a formula to rates over ``dt`` s, with noise densities and covariances, if any."""
+    rates = _vectors("w", w)
+    inputs = {"w": rates, "h": np.array(interval(dt), dtype=rates.dtype)}
+    if densities:
+        variances = [at_least_zero(*density) ** 2 for density in densities.items()]
+        inputs["v"] = np.array(variances, dtype=rates.dtype)
+    if covariance is not None:
+        inputs["p"] = covariance
+        _same_rows(covariance=covariance, w=rates)
+    return _apply(formula, 6, **inputs)
+
+
+def _same_rows(**arrays: NDArray[Any]) -> None:
+    common_number("rows", **{name: x for name, x in arrays.items() if x.ndim == 2})
+
+
+def _transition(w: Vector, h: Any) -> Any:
+    return error_state.transition_matrix(error_state.transition(scale(h, w), h))
+
+
 def process_noise(
     w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float
 ) -> NDArray[Any]:
@@ -270,6 +244,10 @@ def process_noise(
     return _over(_noise, w, dt, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
+def _noise(w: Vector, h: Any, v: Vector) -> Any:
+    return error_state.matrix(error_state.noise(scale(h, w), h, *v))
+
+
 def predict_covariance(
     covariance: ArrayLike, w: ArrayLike, dt: float, *, angle_noise: float, bias_noise: float
 ) -> NDArray[Any]:
@@ -302,6 +280,17 @@ def predict_covariance(
     return _over(_predict, w, dt, P, angle_noise=angle_noise, bias_noise=bias_noise)
 
 
+def _covariances(covariance: ArrayLike) -> NDArray[Any]:
+    matrices = covariances("covariance", covariance, "(6, 6) or (N, 6, 6)")
+    return matrices.reshape(*matrices.shape[:-2], 36)
+
+
+def _predict(w: Vector, h: Any, v: Vector, p: Vector) -> Any:
+    u = scale(h, w)
+    phi, noise = error_state.transition(u, h), error_state.noise(u, h, *v)
+    return error_state.matrix(error_state.predict(error_state.blocks(p), phi, noise))
+
+
 def covariance_to_inertial(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """Convert a covariance of (δθ, δb) to errors along inertial axes, C_true = exp [δθ] C.
 
@@ -325,6 +314,10 @@ def covariance_to_inertial(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     return _turned(_to_inertial, covariance, q)
 
 
+def _to_inertial(c: Vector, p: Vector) -> Any:
+    return error_state.matrix(error_state.to_inertial(c, error_state.blocks(p)))
+
+
 def covariance_to_body(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
     """Convert a covariance of (δθ, δb) from errors along inertial axes to errors along body axes.
 
@@ -346,6 +339,10 @@ def covariance_to_body(covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:
         If ``covariance`` is not a covariance, or a shape does not fit.
     """
     return _turned(_to_body, covariance, q)
+
+
+def _to_body(c: Vector, p: Vector) -> Any:
+    return error_state.matrix(error_state.to_body(c, error_state.blocks(p)))
 
 
 def _turned(formula: Formula, covariance: ArrayLike, q: ArrayLike) -> NDArray[Any]:

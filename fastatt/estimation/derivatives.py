@@ -123,16 +123,6 @@ class StepTangent:
 # prescribed rates
 
 
-def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
-    as_scene(scene)
-    if scene.kind != "rate" or scene.frame != "body" or scene.is_coupled:
-        raise ValueError(
-            "scene: found one with inertia, mass, states or rates in inertial axes; accepted: a "
-            "scene with a rate in body axes"
-        )
-    return method_of(scene, method, "quat", stepped=True), scene.packed(None)
-
-
 # samples
 
 
@@ -237,15 +227,6 @@ def of_body(scene: Scene, method: str | Method | None) -> tuple[Method, Packed]:
     return record, scene.packed(None, sorted_axes=record.sorted_axes)
 
 
-@lru_cache(maxsize=64)
-def _body_rows(record: Method, structure: Any, parameters: bool) -> RowFunction:
-    formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
-    state = tangent.ANY_LENGTH
-    size = tangent.directions(structure, state, parameters=parameters)
-    inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
-    return RowFunction(formula, inputs, (4, 3, state * size, None))
-
-
 def tangent_rows(
     record: Method,
     packed: Packed,
@@ -267,6 +248,15 @@ def tangent_rows(
     phi[~np.isfinite(z)] = np.nan
     rows = tangent.ANY_LENGTH
     return q1, w1, phi.reshape(*phi.shape[:-1], rows, phi.shape[-1] // rows)
+
+
+@lru_cache(maxsize=64)
+def _body_rows(record: Method, structure: Any, parameters: bool) -> RowFunction:
+    formula = tangent.body_tangent(record, structure, parameters=parameters, of_rate=True)
+    state = tangent.ANY_LENGTH
+    size = tangent.directions(structure, state, parameters=parameters)
+    inputs = {"t": None, "h": None, "q": 4, "w": 3, "p": structure.n_params}
+    return RowFunction(formula, inputs, (4, 3, state * size, None))
 
 
 def body_tangent(
@@ -393,6 +383,16 @@ def step_tangent(scene: Scene, *, method: str | Method | None = None) -> StepTan
     step = _step_function(record, structure, tables) if tables else _memoised(record, structure)
     params = packed.params[0] if packed.params.shape[:-1] == (1,) else packed.params
     return StepTangent(record.name, tuple(params.tolist()) if params.ndim == 1 else params, step)
+
+
+def _of_rate(scene: Scene, method: str | Method) -> tuple[Method, Packed]:
+    as_scene(scene)
+    if scene.kind != "rate" or scene.frame != "body" or scene.is_coupled:
+        raise ValueError(
+            "scene: found one with inertia, mass, states or rates in inertial axes; accepted: a "
+            "scene with a rate in body axes"
+        )
+    return method_of(scene, method, "quat", stepped=True), scene.packed(None)
 
 
 def _step_function(record: Method, structure: Any, tables: Mapping[int, Any] | None = None) -> Any:

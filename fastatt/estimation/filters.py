@@ -141,11 +141,6 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     return np.asarray(np.where(mean[..., :1] < 0.0, -mean, mean))
 
 
-def _rows(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
-    """A new array of a shape, from one row or all of them."""
-    return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
-
-
 class _Call(NamedTuple):
     """An operation on a filter's arrays: its own numbers, shared numbers, two results."""
 
@@ -351,6 +346,11 @@ class Estimates:
         y = checks.array(self._name, y, f"({k},) or ({n}, {k})")
         d = np.concatenate([attitude_error(self._q, attitudes), y - self._y], axis=-1)
         return self._figures(normalised_square(d, self._P))
+
+
+def _rows(value: NDArray[Any], shape: tuple[int, ...]) -> Floats:
+    """A new array of a shape, from one row or all of them."""
+    return np.array(np.broadcast_to(value, shape), dtype=np.float64, order="C")
 
 
 def _warn_of_lengths(measured: NDArray[Any], reference: NDArray[Any]) -> None:

@@ -173,20 +173,6 @@ class Preintegration:
 _UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # indices of a symmetric block, as in ``sym3``
 
 
-def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
-    n = len(rows)
-    t, q, slopes, rr, v, p, *parts = np.split(rows, np.cumsum(_WIDTHS[:-1]), axis=1)
-    covariance = np.empty((n, 3, 3, 3, 3))
-    blocks = zip(combinations_with_replacement(range(3), 2), (rr, *parts[4:]), strict=True)
-    for (i, j), numbers in blocks:
-        block = (numbers[:, _UPPER] if i == j else numbers).reshape(n, 3, 3)
-        covariance[:, i, :, j] = block
-        covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
-    matrices = [x.reshape(n, 3, 3) for x in (slopes, *parts[:4])]
-    results = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
-    return Preintegration(*[*(x[0] if one else x for x in results), rows])
-
-
 def _times(A: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
     return np.asarray((A @ x[..., None])[..., 0])
 
@@ -272,3 +258,17 @@ def preintegrate(
     if accel is None:
         state[:, _ROTATION:] = np.nan
     return _unpacked(state, one)
+
+
+def _unpacked(rows: NDArray[np.float64], one: bool) -> Preintegration:
+    n = len(rows)
+    t, q, slopes, rr, v, p, *parts = np.split(rows, np.cumsum(_WIDTHS[:-1]), axis=1)
+    covariance = np.empty((n, 3, 3, 3, 3))
+    blocks = zip(combinations_with_replacement(range(3), 2), (rr, *parts[4:]), strict=True)
+    for (i, j), numbers in blocks:
+        block = (numbers[:, _UPPER] if i == j else numbers).reshape(n, 3, 3)
+        covariance[:, i, :, j] = block
+        covariance[:, j, :, i] = np.swapaxes(block, 1, 2)
+    matrices = [x.reshape(n, 3, 3) for x in (slopes, *parts[:4])]
+    results = t[:, 0], q, v, p, *matrices, covariance.reshape(n, 9, 9)
+    return Preintegration(*[*(x[0] if one else x for x in results), rows])

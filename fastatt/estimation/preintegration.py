@@ -112,22 +112,6 @@ def begin(like):
     return Preintegrated(rotation, three, three, nine, nine, nine, nine, nine, nine, six, nine, six)
 
 
-@scalar_function
-def _exact(w, a, h):
-    """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes at its start."""
-    s = seed((*w, *a), 6)
-    u = formulas.scale(h, s[:3])
-    v = formulas.scale(h, formulas.so3.turned_integral(u, s[3:]))
-    p = formulas.scale(h * h, formulas.so3.turned_second_integral(u, s[3:]))
-    return value(v), value(p), (*_halves(v), *_halves(p))
-
-
-def _halves(x: Any) -> Any:
-    """The derivatives by the rate and by the specific force, row by row."""
-    rows = [derivatives(c, 6) for c in x]
-    return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
-
-
 @_formula
 def add_sample(s, w, a, h, gyro, accel):
     """Add a sample to a preintegration.
@@ -195,6 +179,22 @@ def add_sample(s, w, a, h, gyro, accel):
         vp=_plus(_plus(dcm.transpose(pv), k, vw, pw), m, va, pa),
         pp=sym3.upper(_plus(_plus(pp, k, pw, pw), m, pa, pa)),
     )
+
+
+@scalar_function
+def _exact(w, a, h):
+    """(Δv, Δp, 9 + 9 + 9 + 9 derivatives) of one sample along the axes at its start."""
+    s = seed((*w, *a), 6)
+    u = formulas.scale(h, s[:3])
+    v = formulas.scale(h, formulas.so3.turned_integral(u, s[3:]))
+    p = formulas.scale(h * h, formulas.so3.turned_second_integral(u, s[3:]))
+    return value(v), value(p), (*_halves(v), *_halves(p))
+
+
+def _halves(x: Any) -> Any:
+    """The derivatives by the rate and by the specific force, row by row."""
+    rows = [derivatives(c, 6) for c in x]
+    return sum((row[:3] for row in rows), ()), sum((row[3:] for row in rows), ())
 
 
 def _forward(across: Any, x: Any) -> Any:

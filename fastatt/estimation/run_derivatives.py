@@ -89,18 +89,6 @@ class RunTangent:
         return np.pad(change, [(0, 0)] * (change.ndim - 1) + [(0, whole - size)])[..., None]
 
 
-def _refuse_parts(scene: Scene, run: Trajectory) -> None:
-    """Raise ``ValueError`` for a run across breakpoints, or whose steps corners divide."""
-    first, last = sorted(run.t[[0, -1]].tolist())
-    clock, begin = schedule_of(run.dt, len(run.t) - 1), float(run.t[0])
-    legs = clock.legs(clock.h, breaks_within(scene, begin, clock.duration))
-    if any(first <= x <= last for x in scene.breakpoints) or (legs["dt"] != clock.h).any():
-        raise ValueError(
-            "scene: found breakpoints, or times of a table within steps; accepted: a run "
-            "between breakpoints, and steps that end at the times of the table"
-        )
-
-
 def run_tangent(
     scene: Scene,
     q0: ArrayLike,
@@ -177,3 +165,15 @@ def run_tangent(
     q, w = ((x[:, None] if run.one_body else x)[:-1] for x in (stepped.q, stepped.w))
     *_, full = tangent_rows(record, packed, (run.t[:-1, None], run.dt), (q, w), n_threads)
     return run, RunTangent(full[:, 0] if run.one_body else full, size=tangent.UNIT)
+
+
+def _refuse_parts(scene: Scene, run: Trajectory) -> None:
+    """Raise ``ValueError`` for a run across breakpoints, or whose steps corners divide."""
+    first, last = sorted(run.t[[0, -1]].tolist())
+    clock, begin = schedule_of(run.dt, len(run.t) - 1), float(run.t[0])
+    legs = clock.legs(clock.h, breaks_within(scene, begin, clock.duration))
+    if any(first <= x <= last for x in scene.breakpoints) or (legs["dt"] != clock.h).any():
+        raise ValueError(
+            "scene: found breakpoints, or times of a table within steps; accepted: a run "
+            "between breakpoints, and steps that end at the times of the table"
+        )

@@ -326,12 +326,6 @@ def _perpendicular(n: Any) -> Any:
 
 
 @_formula
-def _gated(before, after, nis, gate):
-    """The updated estimate, or the previous one if NIS is above the gate or NaN."""
-    return after if nis <= gate else before
-
-
-@_formula
 def _predicted(q, b, P, gyro, shared):
     q, p = mekf_predict(q, b, error_state.blocks(P), gyro, *shared)
     return q, b, error_state.matrix(p)
@@ -349,6 +343,12 @@ def _by_attitude(q: Vector, y: Vector, P: Vector, measured: Vector, shared: Vect
 
 def _updated(before: Any, found: Any, shared: Vector) -> Any:
     return (*_gated(before, found[:3], found[3], shared[0]), *found[3:])
+
+
+@_formula
+def _gated(before, after, nis, gate):
+    """The updated estimate, or the previous one if NIS is above the gate or NaN."""
+    return after if nis <= gate else before
 
 
 _OPERATIONS: dict[str, Any] = {

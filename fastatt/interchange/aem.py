@@ -383,13 +383,6 @@ class _Layout:
         return np.concatenate([numbers, self.sign * np.degrees(along)], axis=1)
 
 
-def _one_line(name: str, value: Any) -> str:
-    """A value that is one line of ASCII."""
-    if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
-        return value
-    raise ValueError(f"{name}: found {checks.brief(value)}; accepted: a line of ASCII text")
-
-
 def _keywords(name: str, values: Any, known: tuple[str, ...]) -> dict[str, str]:
     """Values by keyword in the standard's order."""
     if not isinstance(values, Mapping):
@@ -398,6 +391,13 @@ def _keywords(name: str, values: Any, known: tuple[str, ...]) -> dict[str, str]:
     if unknown:
         raise ValueError(f"{name}: found {', '.join(unknown)}; accepted: {', '.join(known)}")
     return {key: _one_line(f"{name} {key}", values[key]) for key in known if key in values}
+
+
+def _one_line(name: str, value: Any) -> str:
+    """A value that is one line of ASCII."""
+    if isinstance(value, str) and value.strip() and value.isascii() and value.isprintable():
+        return value
+    raise ValueError(f"{name}: found {checks.brief(value)}; accepted: a line of ASCII text")
 
 
 def _assignments(values: Mapping[str, str]) -> list[str]:

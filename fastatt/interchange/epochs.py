@@ -113,11 +113,6 @@ def of_run(epoch: Any, t: NDArray[np.float64], system: str) -> tuple[str, NDArra
     return tag, t
 
 
-def _leaps_before(day: int) -> int:
-    """The number of leap seconds before the start of a day."""
-    return bisect_left(_LEAPS, day)
-
-
 def _count(tag: str, *, leaps: bool) -> Decimal:
     """Seconds since the start of the calendar."""
     match = _TAG.fullmatch(tag)
@@ -137,6 +132,11 @@ def _count(tag: str, *, leaps: bool) -> Decimal:
     except ValueError:
         raise ValueError(f"time: found {tag}; accepted: {_ACCEPTED}") from None
     return day * _DAY + within + (_leaps_before(day) if leaps else 0)
+
+
+def _leaps_before(day: int) -> int:
+    """The number of leap seconds before the start of a day."""
+    return bisect_left(_LEAPS, day)
 
 
 def _tag(count: Decimal, *, leaps: bool) -> str:

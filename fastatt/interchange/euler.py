@@ -106,11 +106,6 @@ def _known(sequence: Any) -> str:
     return sequence
 
 
-def _axes(sequence: str) -> tuple[list[int], bool]:
-    """Indices of the axes, and whether they are body axes."""
-    return ["xyz".index(letter) for letter in sequence.lower()], sequence.isupper()
-
-
 @cache
 def _to_quat(sequence: str) -> Any:
     axes, is_intrinsic = _axes(sequence)
@@ -120,6 +115,11 @@ def _to_quat(sequence: str) -> Any:
         return quat.mul(quat.mul(a, b), c) if is_intrinsic else quat.mul(c, quat.mul(b, a))
 
     return formula
+
+
+def _axes(sequence: str) -> tuple[list[int], bool]:
+    """Indices of the axes, and whether they are body axes."""
+    return ["xyz".index(letter) for letter in sequence.lower()], sequence.isupper()
 
 
 def _about(axis: int, angle: Any) -> Vector:

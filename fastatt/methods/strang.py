@@ -33,16 +33,16 @@ from fastatt.tracing.formulas import Vector, dot, scale, trig, vec3
 from fastatt.tracing.functions import larger
 
 
-def _rotor(turn: Any, half: Any, a: Vector) -> Any:
-    """The attitude rotated about an axis, with cosine and sine of the angle."""
-    s, c = trig.sincos_bounded(half)
-    return turn(a, c, s), 1.0 - 2.0 * s * s, 2.0 * s * c
-
-
 def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:
     """The rotor about axis 1, for h s."""
     a, C, S = _rotor(motion.attitude.rotate_first, -0.5 * h * motion.gyroscopic[2] * m[0], a)
     return a, vec3.rotate_axes_first(m, C, S)
+
+
+def _rotor(turn: Any, half: Any, a: Vector) -> Any:
+    """The attitude rotated about an axis, with cosine and sine of the angle."""
+    s, c = trig.sincos_bounded(half)
+    return turn(a, c, s), 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
 def third(motion: Any, h: Any, a: Vector, m: Vector) -> Any:

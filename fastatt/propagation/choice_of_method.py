@@ -68,15 +68,6 @@ def odd_functions(functions: Sequence[UserFunction], representation: str) -> lis
     return [] if representation == QUATERNION.name else [f for f in functions if not f.is_even]
 
 
-def _refuse_odd(functions: Sequence[UserFunction], representation: str) -> None:
-    for function in odd_functions(functions, representation):
-        raise ValueError(
-            f"representation: found {representation} with {function.described}, which differs for "
-            'q and −q, the same attitude; accepted: "quat", where the sign of q is continuous, or '
-            "a function that does not depend on it, such as one of q[0] * q[1]"
-        )
-
-
 def _takes(method: Method, scene: Scene) -> bool:
     if method.is_exact:
         from fastatt.closed_form import solution_of
@@ -149,6 +140,15 @@ def method_of(
     if stepped and not record.is_stepped:
         raise _refused(why, record.name, fitting())
     return record
+
+
+def _refuse_odd(functions: Sequence[UserFunction], representation: str) -> None:
+    for function in odd_functions(functions, representation):
+        raise ValueError(
+            f"representation: found {representation} with {function.described}, which differs for "
+            'q and −q, the same attitude; accepted: "quat", where the sign of q is continuous, or '
+            "a function that does not depend on it, such as one of q[0] * q[1]"
+        )
 
 
 def _refused(name: str, value: object, accepted: list[str], reason: str = "") -> ValueError:

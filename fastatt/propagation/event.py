@@ -103,6 +103,31 @@ def event(
     return Event(g, int(way), checks.flag("terminal", terminal), names_in("reads", reads))
 
 
+def warn_of_lost(lost: NDArray[np.bool_]) -> None:
+    """Warn of events (N, E) that were not located, with values that are not finite."""
+    for i in np.flatnonzero(lost.any(axis=0)):
+        bodies = np.flatnonzero(lost[:, i])
+        rounding.warn(
+            f"events[{i}]: found values that are not finite, and no crossing, for {bodies.size} of "
+            f"{len(lost)} bodies, the first of them body {bodies[0]}; accepted: a function that is "
+            "finite during the run",
+            RuntimeWarning,
+        )
+
+
+def events_of(
+    events: Event | Sequence[Event], scene: Scene, *, position: bool
+) -> tuple[Event, ...]:
+    """The events of a run of a scene as a tuple, frozen; ``position`` is propagated.
+
+    Raises ``TypeError`` for anything else, and for functions that do not fit the scene.
+    """
+    listed = (events,) if isinstance(events, Event) else events
+    if not isinstance(listed, (list, tuple)) or not all(isinstance(x, Event) for x in listed):
+        raise TypeError(f"events: found {checks.brief(events)}; accepted: a list of fastatt.event")
+    return tuple(_frozen(x, scene, position or scene.needs_position) for x in listed)
+
+
 def _frozen(event: Event, scene: Scene, position: bool) -> Event:
     """The event with its function as it is now, for the parameters of a scene.
 
@@ -133,28 +158,3 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
     params, states = parameters("params", scene.params), scene.states if is_of_states else 0
     function = function.of(form, params.shape[-1], params, states, reads=reads)
     return replace(event, function=function)
-
-
-def warn_of_lost(lost: NDArray[np.bool_]) -> None:
-    """Warn of events (N, E) that were not located, with values that are not finite."""
-    for i in np.flatnonzero(lost.any(axis=0)):
-        bodies = np.flatnonzero(lost[:, i])
-        rounding.warn(
-            f"events[{i}]: found values that are not finite, and no crossing, for {bodies.size} of "
-            f"{len(lost)} bodies, the first of them body {bodies[0]}; accepted: a function that is "
-            "finite during the run",
-            RuntimeWarning,
-        )
-
-
-def events_of(
-    events: Event | Sequence[Event], scene: Scene, *, position: bool
-) -> tuple[Event, ...]:
-    """The events of a run of a scene as a tuple, frozen; ``position`` is propagated.
-
-    Raises ``TypeError`` for anything else, and for functions that do not fit the scene.
-    """
-    listed = (events,) if isinstance(events, Event) else events
-    if not isinstance(listed, (list, tuple)) or not all(isinstance(x, Event) for x in listed):
-        raise TypeError(f"events: found {checks.brief(events)}; accepted: a list of fastatt.event")
-    return tuple(_frozen(x, scene, position or scene.needs_position) for x in listed)
