@@ -11,7 +11,7 @@ import quaternion
 import fastatt as fa
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.trade.ensembles import coning_attitudes, coning_rates
-from fastatt.trade.measure import best_time
+from fastatt.trade.timing import time_in_turns
 
 SMOKE = bool(os.environ.get("FASTATT_SMOKE"))
 N_LOGS, N_SAMPLES = (2_000, 100) if SMOKE else (100_000, 100)
@@ -72,7 +72,7 @@ def test_many_logs(benchmark, logs, method, dtype):
     def run() -> np.ndarray:
         return fa.integrate_rates(data, H, problem.q0, method=method, out=out)
 
-    reference, _ = best_time(lambda: np.copyto(target, source), 5)
+    reference = time_in_turns([lambda: np.copyto(target, source)])[0].least
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
     error = problem.error(q[:, -1].astype(float), H * (N_SAMPLES - 1))
     _report(benchmark, N_LOGS * N_SAMPLES, reference, "numpy's copy", error)
@@ -94,7 +94,7 @@ def test_one_long_log(benchmark, long_log, method, dtype):
         return fa.integrate_rates(data, H, START, method=method)
 
     part = long_log[: LONG // 10]
-    reference = 10.0 * best_time(lambda: _peer(part), 2)[0]
+    reference = 10.0 * time_in_turns([lambda: _peer(part)])[0].least
     q = benchmark.pedantic(run, rounds=5, warmup_rounds=1)
     _report(benchmark, LONG, reference, "numpy-quaternion", _long_error(q))
 

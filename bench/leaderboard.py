@@ -2,7 +2,8 @@
 
 Every contestant runs its whole ladder of tolerances or steps once, to find errors and what is worth
 timing: settings within twice the best time of their library at their error. Those are timed in
-rounds, all contestants of a problem in turn in every round, on one core; the shortest time counts.
+rounds, all contestants of a problem in turn in every round, on one core: five rounds or more, of
+which the shortest CPU time counts.
 Compilation, layouts and what a library can prepare beforehand are left out; a call of ours is the
 whole call. Peers that miss what they claim (an adapter's mistake) stop the run. What took part can
 be timed again without the ladders: problem by problem, on a quiet machine.
@@ -11,17 +12,15 @@ be timed again without the ladders: problem by problem, on a quiet machine.
 from __future__ import annotations
 
 import argparse
-import gc
 import math
 import os
 import sys
 import warnings
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from leaderboard_contestants import OURS, PACKAGES, contestants, missing, our_loop
@@ -31,38 +30,30 @@ from leaderboard_report import TARGETS, Row, page, ranking, read_rows, write_row
 from leaderboard_solvers import Contestant, Run
 
 from fastatt.trade.measure import machine_line
+from fastatt.trade.timing import ROUNDS, once, time_in_turns
 
 _LONGEST = 0.25  # seconds of a call, beyond which a ladder ends
-_LONG = 0.05  # seconds of a call that is timed in the least number of rounds
 _ROUND_OFF = 1e-13  # rad
 _SMALL = 0.5  # rad: beyond it an error is no power of the step yet
 _SHORT = 0.01  # seconds of a call that is measured again at once
 _WORTH = 1.5  # a setting this many times slower than its library's best at its error is not timed
-_LEAST = 1e-3  # seconds of one timing, reached by repeating a call
-_ROUNDS = (2, 25)
 
 
 @dataclass
 class Timed:
-    """A run, its error and its shortest time so far."""
+    """A run, its error, its shortest time, and the first and third quartile of its times."""
 
     contestant: Contestant
     mode: str
     run: Run
     angles: np.ndarray
     seconds: float
-    repeats: int = 1
+    quartiles: Sequence[float] = (0.0, 0.0)
 
     @property
     def error(self) -> float:
         """Root mean square, rad."""
         return float(np.sqrt(np.mean(self.angles**2)))
-
-
-def _once(call: Callable[[], Any]) -> tuple[float, Any]:
-    begin = perf_counter()
-    result = call()
-    return perf_counter() - begin, result
 
 
 def climb(
@@ -94,9 +85,9 @@ def climb(
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # of coarse settings, which say that they are coarse
             run.call()  # compiles
-            seconds, result = _once(run.call)
+            seconds, result = once(run.call)
             for _ in range(4 if seconds < _SHORT else 0):  # an interrupted call looks slow
-                seconds = min(seconds, _once(run.call)[0])
+                seconds = min(seconds, once(run.call)[0])
             timed = Timed(contestant, mode, run, problem.angles(run.attitudes(result)), seconds)
         if math.isfinite(timed.error):
             found.append(timed)
@@ -144,30 +135,13 @@ def worth_timing(found: Sequence[Timed]) -> list[Timed]:
     return kept
 
 
-def time_in_turn(found: Sequence[Timed], budget: float, rounds: tuple[int, int]) -> int:
-    """Rounds over all runs, each of which keeps its shortest time; gives how many there were.
-
-    Long calls take part in the first rounds only.
-    """
-    for timed in found:
-        timed.repeats = max(1, math.ceil(_LEAST / max(timed.seconds, 1e-9)))
-    begin, done = perf_counter(), 0
-    while done < rounds[0] or (done < rounds[1] and perf_counter() - begin < budget):
-        gc.collect()
-        gc.disable()
-        for timed in found:
-            if done >= rounds[0] and timed.seconds > _LONG:
-                continue
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                start = perf_counter()
-                for _ in range(timed.repeats):
-                    timed.run.call()
-                seconds = (perf_counter() - start) / timed.repeats
-            timed.seconds = min(timed.seconds, seconds)
-        gc.enable()
-        done += 1
-    return done
+def take_turns(found: Sequence[Timed], budget: float, rounds: int = ROUNDS) -> None:
+    """Time all runs in turns."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        times = time_in_turns([timed.run.call for timed in found], rounds, budget)
+    for timed, (least, *quartiles) in zip(found, times, strict=True):
+        timed.seconds, timed.quartiles = least, quartiles
 
 
 @contextmanager
@@ -214,6 +188,8 @@ def rows_of(problem: Problem | Log, found: Iterable[Timed]) -> list[Row]:
             p50=float(np.quantile(timed.angles, 0.5)),
             p95=float(np.quantile(timed.angles, 0.95)),
             seconds=timed.seconds / problem.units(timed.mode),
+            seconds_lower=timed.quartiles[0] / problem.units(timed.mode),
+            seconds_upper=timed.quartiles[1] / problem.units(timed.mode),
             work=timed.run.work(),
         )
         for timed in found
@@ -255,11 +231,11 @@ def measure(
         check_claims(problem, found)
         kept = worth_timing(found)
     ready = perf_counter()
-    done = time_in_turn(kept, budget, (1, 1) if quick else _ROUNDS)
+    take_turns(kept, budget, 1 if quick else ROUNDS)
     print(
         f"{problem.title}; reference: {problem.reference}\n"
-        f"  {len(found)} settings in {ready - begin:.0f} s, {len(kept)} of them timed in {done} "
-        f"rounds in {perf_counter() - ready:.0f} s",
+        f"  {len(found)} settings in {ready - begin:.0f} s, {len(kept)} of them timed in "
+        f"{perf_counter() - ready:.0f} s",
         flush=True,
     )
     return rows_of(problem, kept)

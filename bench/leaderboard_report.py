@@ -12,10 +12,12 @@ from pathlib import Path
 from leaderboard_contestants import DISTRIBUTIONS, OURS, PACKAGES
 from leaderboard_problems import MANY, ONE
 
+from fastatt.trade.timing import TIE
+
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 MODES = {ONE: "one", MANY: "ensemble"}
-_TIE, _MOST = 1.1, 1000.0
-_FIGURES = ("error", "p50", "p95", "seconds", "work")
+_MOST = 1000.0
+_FIGURES = ("error", "p50", "p95", "seconds", "work", "seconds_lower", "seconds_upper")
 _SETTINGS = {
     OURS: "`fa.plan` beforehand; in a loop: `fa.single_step`, or closed-form kernels, in `@njit`",
     "heyoka": "unrolled; ensembles in batches of the machine's vector, 1 to 8 bodies a system; "
@@ -37,7 +39,8 @@ _SETTINGS = {
 class Row:
     """One setting of one method: errors, rad, and seconds per body, of a log per sample.
 
-    ``error`` is the root mean square; ``work`` counts the operations of a body, 0 if unknown.
+    ``error`` is the root mean square; ``seconds`` is the least of several times, with their
+    quartiles; ``work`` counts the operations of a body, 0 if unknown.
     """
 
     problem: str
@@ -53,6 +56,8 @@ class Row:
     p95: float
     seconds: float
     work: float
+    seconds_lower: float = math.nan
+    seconds_upper: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,7 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
 def read_rows(path: Path) -> list[Row]:
     with path.open(encoding="utf-8", newline="") as file:
         return [
-            Row(**{**row, **{name: float(row[name]) for name in _FIGURES}})
+            Row(**{k: float(x) if k in _FIGURES else x for k, x in row.items()})
             for row in csv.DictReader(file)
         ]
 
@@ -144,7 +149,7 @@ def verdict(ranked: Sequence[Best]) -> str:
         alone = f"`{ours.method}` alone" if ours else f"**{peer.package} alone**" if peer else ""
         return alone or "none"
     lead = peer.seconds / ours.seconds
-    if 1.0 / _TIE <= lead <= _TIE:
+    if 1.0 / TIE <= lead <= TIE:
         return f"tie: `{ours.method}`, {peer.package}"
     if lead > _MOST:
         return f"`{ours.method}` >1000× {peer.package} ({peer.row.bound})"
@@ -262,11 +267,12 @@ def _libraries() -> list[str]:
 
 
 _RULES = f"""\
-Every library runs with a series of tolerances or step sizes; times are the shortest of several
-rounds, in which the libraries alternate. A cell names the fastest method at that error, and how
-many times as long the next library takes. The error is the root mean square over bodies with a
-known solution; times at an error are interpolated in logarithms between settings.
-Times within {100 * (_TIE - 1):.0f} % of each other are ties; ratios above {_MOST:.0f} are
+Every library runs with a series of tolerances or step sizes; times are CPU times of one
+core, the least of five rounds or more in which the libraries alternate. A cell names the fastest
+method at that error, and how many times as long the next library takes. The error is the root mean
+square over bodies with a known solution; times at an error are interpolated in logarithms between
+settings.
+Times within {100 * (TIE - 1):.0f} % of each other are ties; ratios above {_MOST:.0f} are
 not stated.
 Bold cells are those that fastatt loses.
 "One" is a call for each body, "ensemble" one call for 1024 bodies.

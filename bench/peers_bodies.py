@@ -173,9 +173,9 @@ def c_rk4(bodies: Bodies, n_steps: int) -> Run:
     shared = factors.ndim == 1
     if not shared:
         factors = np.concatenate([factors, np.repeat(factors[:, :1], padded - n, 1)], axis=1)
-    start = time.perf_counter()
+    start = time.process_time()
     function(y, np.ascontiguousarray(factors), padded, shared, T_END / n_steps, n_steps)
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     return Run(y[:4, :n].T.copy(), y[4:, :n].T.copy(), seconds)
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 import os
+from functools import partial
 from importlib.util import find_spec
 from itertools import pairwise
 from time import perf_counter
@@ -30,7 +31,7 @@ from peers_wheels import BasiliskWheels
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
-from fastatt.trade.measure import best_time
+from fastatt.trade.timing import once, time_in_turns
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 BODIES, COMPARED, STEPS = (200, 2, (0.5,)) if SMALL else (100_000, 10, (0.5, 0.25, 0.1))
@@ -265,16 +266,16 @@ def times(samples: int, bodies: int) -> None:
                 fa.plan(ours.scene, n, **common, **options),
                 ours.start(feedback.starts(n)),
             )
-            plan(**start)
-            seconds, run = best_time(lambda plan=plan, start=start: plan(**start), 5)
-            spent[label].append(seconds)
+            run = plan(**start)
+            spent[label].append(time_in_turns([partial(plan, **start)])[0].least)
         ends[label] = fa.quat_to_mrp(run.q[-1])
     if find_spec("Basilisk") is not None:
         theirs, each = BasiliskWheels(samples), list(zip(*feedback.starts(bodies), strict=True))
-        one, _ = best_time(lambda: theirs.run(*each[0]), 5)
-        begin = perf_counter()
-        ends["Basilisk"] = np.reshape([theirs.run(*start) for start in each], (-1, 3))
-        spent["Basilisk"] = [one, perf_counter() - begin]
+        theirs.run(*each[0])
+        one = time_in_turns([partial(theirs.run, *each[0])])[0].least
+        together, runs = once(lambda: [theirs.run(*start) for start in each])
+        ends["Basilisk"] = np.reshape(runs, (-1, 3))
+        spent["Basilisk"] = [one, together]
     print(f"\n| | one body, ms | {bodies} bodies, s | off `rk8` | off `rk4`, MRPs |")
     print("| --- " * 5 + "|")
     for label, (one, together) in spent.items():

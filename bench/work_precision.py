@@ -22,7 +22,7 @@ from typing import Any
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 
-from leaderboard import climb, one_core, time_in_turn
+from leaderboard import climb, one_core, take_turns
 from leaderboard_contestants import OURS, contestants, missing
 from leaderboard_problems import MANY, PROBLEMS
 from leaderboard_report import envelope
@@ -30,6 +30,7 @@ from matplotlib.figure import Figure
 
 from fastatt.plots.drawing import save, styles_of
 from fastatt.trade.measure import processor_line
+from fastatt.trade.timing import ROUNDS
 
 HERE = Path(__file__).resolve().parent
 PICTURES = HERE.parent / "fastatt" / "docs" / "pictures"
@@ -40,7 +41,7 @@ METHODS = {
 }
 PEERS = {"heyoka": "Taylor", "CyRK": "DOP853", "scipy": "solve_ivp DOP853"}
 TITLES = {"coning-large": "prescribed rate", "top-triaxial": "torque"}
-_ROUNDS, _BUDGET = (2, 12), 25.0  # and seconds for each problem
+_BUDGET = 25.0  # s of rounds, for each problem
 _FIELDS = ("problem", "title", "library", "method", "setting", "error_rad", "microseconds", "where")
 Row = dict[str, Any]
 
@@ -54,7 +55,7 @@ def measure(name: str, quick: bool) -> list[Row]:
         for contestant in contestants(problem, package, quick):
             if (package, contestant.method) in wanted:
                 found += climb(problem, contestant, MANY, [])
-    time_in_turn(found, _BUDGET, (1, 1) if quick else _ROUNDS)
+    take_turns(found, _BUDGET, 1 if quick else ROUNDS)
     return [
         {
             "problem": name, "title": problem.title, "library": timed.contestant.package,

@@ -16,6 +16,7 @@ from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
 from fastatt.trade.measure import Case
 from fastatt.trade.search import Point, Search
+from fastatt.trade.timing import TIE
 from fastatt.trade.work_precision import DTYPES, cases_of, problem_over
 
 #: methods that were on the frontier for some measured scene; others are tried only if named
@@ -47,9 +48,10 @@ class Recommendation:
         error of the reference. The closed form "exact" in float64 is its own reference: then it is
         the estimated rounding error of the closed form, and the text says "estimated".
     expected_seconds : float
-        Time of the whole call to ``propagate``, s.
+        CPU time of the whole call to ``propagate`` in one thread, s.
     runner_up : Point or None
-        The second-best case, with its ``n_steps``, ``error`` and ``seconds``.
+        The second-best case, with its ``n_steps``, ``error`` and ``seconds``. It is as fast if the
+        ratio of the times is below 1.1; the smaller error is then recommended.
     limited_by : {"truncation", "round-off", "reference"}
         "truncation" if a smaller step size would be more accurate, and "reference" if the error of
         the reference hides whether it would.
@@ -96,15 +98,17 @@ class Recommendation:
         how_known = "estimated" if is_reference else "measured"
         over = f"{how_known} over {self.measured} of {self.n_bodies} bodies"
         time = self.expected_seconds
+        text = f"{time:.3g} s" if time >= 0.1 else f"{time * 1e3:.3g} ms"
         lines = [
             f"{self.case}: {how} (tol {self.tol:g})",
             f"  error      {self.expected_error:.1e} rad at most over the run, {over}; limited by "
             + self.limited_by,
-            f"  time       {f'{time:.3g} s' if time >= 0.1 else f'{time * 1e3:.3g} ms'}",
+            f"  time       {text} of one thread",
         ]
         if up := self.runner_up:
             margin = up.seconds / time
-            lines.append(f"  runner-up  {up.case}, {up.n_steps} steps: {margin:.2f} times as long")
+            how_long = "as fast" if margin < TIE else f"{margin:.2f} times as long"
+            lines.append(f"  runner-up  {up.case}, {up.n_steps} steps: {how_long}")
         lines.append(
             f"  reference  {self.reference}, with an error of {self.reference_error:.1e} rad"
         )
@@ -166,7 +170,7 @@ def recommend(
         Number of bodies on which errors are measured, in addition to those with the smallest and
         the largest of each number of the scene.
     n_threads : int, optional
-        Number of threads, as in :func:`fastatt.propagate`.
+        Number of threads of the runs that find errors, as in :func:`fastatt.propagate`.
     rng : int or numpy.random.Generator, default 0
         Random generator, or a seed for one, which chooses bodies.
 
@@ -191,7 +195,8 @@ def recommend(
     The sample consists of the bodies with the largest errors in a coarse run of all bodies, or of
     as many as take ten million steps, of the fastest bodies, and of others that are chosen at
     random; it is smaller for long runs. For each case the number of steps is searched whose largest
-    error meets ``tol``. The recommendation itself was run on the sample, and on as many of the
+    error meets ``tol``, and the cases take turns to be timed, five times or more, of which the
+    shortest counts. The recommendation itself was run on the sample, and on as many of the
     other bodies as take four million steps, those with the largest errors first.
 
     Errors are measured against a closed form, or against a run of high order whose step is halved

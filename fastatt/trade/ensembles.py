@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt._cached import cached_property
 from fastatt.arrays import angle_between, euler313_to_quat, quat_multiply
 from fastatt.gyro.integrate import integrate_rates, methods_for_samples
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.rounding import noted
 from fastatt.scene import rates, torques
 from fastatt.scene.scene import Scene
-from fastatt.trade.measure import Case, Problem, Row, best_time, row_of
+from fastatt.trade.measure import Case, Problem, Row, row_of
+from fastatt.trade.timing import once
 from fastatt.trade.work_precision import Study, cases_of, coarsest
 
 SAMPLES = "samples"
 _STEPS = 2.5  # a second, of the grid of ladders
-_REPEATS = 1  # of short runs best_time makes ten times as many
 _SAMPLED = 64  # bodies, at most, whose rates are sampled
 # an inertial frame that is tilted, since 3-1-3 angles about the cone's axis are exact by accident
 TILT = (0.48, -0.6, 0.64, 0.0)
@@ -44,16 +45,31 @@ class OfSamples(Study):
 
     def row(self, case: Case, n: int) -> Row:
         """A method in n intervals."""
-        e, duration = self.problem.ensemble, self.problem.duration
-        rate = e.scene.rate
-        samples = coning_rates(rate.angle, rate.frequency, np.linspace(0.0, duration, n + 1))
-        with noted() as said:
-            seconds, q = best_time(
-                lambda: integrate_rates(samples, duration / n, e.q0, method=case.name), self.repeats
-            )
+        call = self.call(case, n)
+        call()  # compiles
+        seconds, (q, said) = once(call)
         status = "past the method's limit" if said else ""
         error = angle_between(q[:, -1], self.known.end.q)
-        return row_of(self.name, case, duration, n, seconds, error, status=status)
+        return row_of(self.name, case, self.problem.duration, n, seconds, error, status=status)
+
+    def call(self, case: Case, n: int) -> Callable[[], Any]:
+        """All attitudes, and whether there are warnings of large steps."""
+        samples, dt, q0 = self._samples(n), self.problem.duration / n, self.problem.ensemble.q0
+
+        def integrate() -> tuple[NDArray[Any], bool]:
+            with noted() as said:
+                q = integrate_rates(samples, dt, q0, method=case.name, n_threads=1)
+            return q, bool(said)
+
+        return integrate
+
+    @cached_property
+    def _samples(self) -> Callable[[int], NDArray[np.float64]]:
+        """Rates at the ends of n intervals, the same for all methods."""
+        rate, duration = self.problem.ensemble.scene.rate, self.problem.duration
+        return cache(
+            lambda n: coning_rates(rate.angle, rate.frequency, np.linspace(0.0, duration, n + 1))
+        )
 
 
 def steps(problem: Problem, case: Case, per_doubling: int) -> list[int]:
@@ -138,7 +154,7 @@ def study(name: str, n_bodies: int) -> Study:
     """The ensemble of a name in ``SCENES``, with a confirmed reference."""
     study, bodies = OfSamples if name == SAMPLES else Study, problem(name, n_bodies)
     title = f"{bodies.ensemble.size} {_ENSEMBLES[name][0]}"
-    return study.of(name, title, bodies, _REPEATS)
+    return study.of(name, title, bodies)
 
 
 def problem(name: str, n_bodies: int) -> Problem:

@@ -8,9 +8,9 @@ import platform
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from fastatt.propagation.trajectory import Trajectory
 from fastatt.rounding import noted
 from fastatt.scene.scene import Scene
 from fastatt.threads import default_threads
+from fastatt.trade.timing import Times, once
 
 _SAVES = 8  # saves at which the drift is measured
 PLATEAU, REFERENCE = "round-off", "reference"
@@ -36,8 +37,6 @@ PLATEAU, REFERENCE = "round-off", "reference"
 _ROUNDED = 20.0
 # an error that rounding limits is better than another only by this factor
 _CLEAR = 4.0
-# s; of repeated runs over this time, one is undisturbed
-_ENOUGH = 0.03
 
 
 class Case(NamedTuple):
@@ -135,7 +134,9 @@ class Row:
         Largest relative drift, of the angular momentum or of its component along a uniform field;
         None if the scene does not conserve it.
     seconds_per_body : float
-        Time for each body, s.
+        CPU time of one thread for each body, s, the least of several.
+    seconds_lower, seconds_upper : float or None
+        The first and the third quartile of the times.
     order : float or None
         Order from the row before.
     plateau : str
@@ -158,6 +159,8 @@ class Row:
     energy_drift_max: float | None = None
     momentum_drift_max: float | None = None
     seconds_per_body: float
+    seconds_lower: float | None = None
+    seconds_upper: float | None = None
     order: float | None = None
     plateau: str = ""
     status: str = ""
@@ -205,24 +208,12 @@ def row_of(
     )
 
 
-def best_time(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """The shortest time of several runs, two of long ones, and the result."""
-    times: list[float] = []
-    while len(times) < 2 or (sum(times[1:]) < _ENOUGH and len(times) <= 10 * repeats):
-        begin = perf_counter()
-        result = call()
-        times.append(perf_counter() - begin)
-    return min(times), result
-
-
-def measure(
-    problem: Problem, end: State, case: Case, n_steps: int, repeats: int, name: str = ""
-) -> Row:
-    """Run a case for its drift, then for its time and error with the final state alone."""
+def measure(problem: Problem, end: State, case: Case, n_steps: int, name: str = "") -> Row:
+    """Run a case for its drift, then for its error and one time with the final state alone."""
     saved = problem.run(case, n_steps, max(1, n_steps // _SAVES))
     lost = bool((saved.status & Status.NON_FINITE).any())
     drifts = {} if lost else drifts_of(saved, problem.ensemble.scene)
-    seconds, result = best_time(lambda: problem.run(case, n_steps), repeats)
+    seconds, result = once(partial(problem.run, case, n_steps))
     last = last_state(result)
     return row_of(
         name, case, problem.duration, n_steps, seconds,
@@ -262,6 +253,12 @@ def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int
     return (not steep and after < summed) or after < _ROUNDED * eps
 
 
+def with_times(row: Row, times: Times, size: int) -> Row:
+    """A row with times of a run of so many bodies."""
+    least, lower, upper = (x / size for x in times)
+    return replace(row, seconds_per_body=least, seconds_lower=lower, seconds_upper=upper)
+
+
 def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float = 0.0) -> list[Row]:
     """Rows of falling steps with their observed orders; ``order`` is the declared one.
 
@@ -288,6 +285,12 @@ def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float =
 
 
 _POWER = "{:.1e}".format
+
+
+def _microseconds(x: float) -> str:
+    return f"{x * 1e6:.3g}"
+
+
 #: heading and text of a value, by the field or property of a row
 _COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "input": ("input", str),
@@ -304,7 +307,9 @@ _COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "momentum_drift_max": ("momentum", _POWER),
     "drift": ("drift", _POWER),
     "growth": ("growth", str),
-    "seconds_per_body": ("µs/body", lambda x: f"{x * 1e6:.3g}"),
+    "seconds_per_body": ("µs/body", _microseconds),
+    "seconds_lower": ("25 %", _microseconds),
+    "seconds_upper": ("75 %", _microseconds),
     "order": ("order", "{:.2f}".format),
     "plateau": ("limit", str),
     "status": ("status", str),
@@ -372,10 +377,10 @@ def to_csv(path: str | Path, rows: Sequence[Any]) -> None:
     write_csv("path", path, [f.name for f in fields(rows[0])] if rows else (), map(astuple, rows))
 
 
-def machine_line() -> str:
-    """The machine and its threads, in one line."""
-    threads = f"{default_threads()} of {os.cpu_count() or 1} threads"
-    return f"{processor_line()}, {threads}, Python {platform.python_version()}"
+def machine_line(n_threads: int | None = None) -> str:
+    """The machine, and so many of its threads or those that a run may use, in one line."""
+    threads = "" if n_threads else f", {default_threads()} of {os.cpu_count() or 1} threads"
+    return f"{processor_line(n_threads)}{threads}, Python {platform.python_version()}"
 
 
 def processor_line(n_threads: int | None = None) -> str:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.trade.forcing import SAMPLES
 from fastatt.trade.ladder import Ladder, largest_angle, see, times_compared
-from fastatt.trade.measure import PLATEAU, REFERENCE, Case, Problem, best_time, is_flat
+from fastatt.trade.measure import PLATEAU, REFERENCE, Case, Problem, is_flat
 from fastatt.trade.reference import (
     Reference,
     intervals,
@@ -22,6 +22,7 @@ from fastatt.trade.reference import (
     samples_of_control,
     speeds,
 )
+from fastatt.trade.timing import TIE, once, time_in_turns
 from fastatt.trade.work_precision import spread
 
 _FINER = 30.0  # ratio of the tolerance and the reference's error
@@ -36,17 +37,34 @@ _VERIFIED_CASES = 3  # the fastest cases, which are run on bodies outside of the
 _CLOSE = 0.06  # relative accuracy of the smallest number of steps
 _TRIALS = 10  # numbers of steps that are tried on bodies outside of the sample
 _MOST = 6e7  # the most body-steps of a trial, 2 or 3 s
-_SHORT = 0.02  # s; shorter calls are timed as a whole
+_SHORT = 0.01  # s; shorter calls are timed as a whole
 
 
 class Point(NamedTuple):
-    """Steps of a case, their largest error, rad, over ``measured`` bodies, and a call's time, s."""
+    """Steps of a case, their largest error, rad, over ``measured`` bodies, and a call's time, s.
+
+    The time is the CPU time of one thread.
+    """
 
     case: Case
     n_steps: int
     error: float
     measured: int
     seconds: float = 0.0
+
+
+class _Timed(NamedTuple):
+    """A call, its time, s, and by how many times that of all bodies and steps is longer."""
+
+    call: Callable[[], Any]
+    seconds: float
+    share: float
+
+
+def ranked(points: Sequence[Point]) -> list[Point]:
+    """Points by their times, those as fast as the fastest by their errors."""
+    least = TIE * min(point.seconds for point in points)
+    return sorted(points, key=lambda point: (max(point.seconds, least), point.error))
 
 
 class Search:
@@ -156,16 +174,17 @@ class Search:
         coarse, fine = ((m, self.error(case, m)) for m in (n, further))
         return is_flat(case, self.order(case), coarse, fine)
 
-    def seconds(self, case: Case, n: int) -> float:
-        """The time of a call in n steps, s; that of a long one is extrapolated from fewer steps."""
+    def _timed(self, case: Case, n: int) -> _Timed:
+        """What is timed of a call in n steps: of a long one fewer steps."""
         size = self.whole.ensemble.size
         rows = np.linspace(0, size - 1, min(size, _TIMED)).astype(np.intp)
-        some, few = self.whole.take(rows), min(64, n)
+        some, few = replace(self.whole.take(rows), n_threads=1), min(64, n)
         while True:
             part = replace(some, duration=self.whole.duration * few / n)
-            seconds, _ = best_time(partial(part.run, case, few), 2)
+            call = partial(part.run, case, few)
+            seconds = min(once(call)[0] for _ in range(2))
             if few == n or seconds > _SHORT:
-                return seconds * (n / few) * (size / rows.size)
+                return _Timed(call, seconds, (n / few) * (size / rows.size))
             few = min(4 * few, n)
 
     def fewest(self, case: Case) -> Point:
@@ -181,21 +200,32 @@ class Search:
         met: list[Point] = []
         best = math.inf
         for case in cases:
-            step = self.seconds(case, start := self.start(case)) / start
+            some = self._timed(case, start := self.start(case))
+            step = some.seconds * some.share / start
             n = self._fewest(case, _WORTH * best / step)
             if n is not None:
-                met.append(Point(case, n, self.error(case, n), self.sampled, n * step))
+                met.append(Point(case, n, self.error(case, n), self.sampled))
                 best = min(best, n * step)
         sure: list[Point] = []
-        for point in sorted(met, key=lambda point: point.seconds):
-            if len(sure) == _VERIFIED_CASES or (sure and point.seconds > _WORTH * sure[0].seconds):
+        for point in sorted(self._in_turns(met), key=lambda point: point.seconds):
+            least = sure[0].seconds if sure else math.inf
+            enough = len(sure) >= _VERIFIED_CASES and point.seconds > TIE * least
+            if enough or point.seconds > _WORTH * least:
                 break
             if verified := self._sure(point.case, point.n_steps):
-                seconds = self.seconds(verified.case, verified.n_steps)
-                sure.append(verified._replace(seconds=seconds))
+                sure.append(verified)
         if not sure:
             raise self._refusal()
-        return sorted(sure, key=lambda point: point.seconds)
+        return ranked(self._in_turns(sure))
+
+    def _in_turns(self, points: Sequence[Point]) -> list[Point]:
+        """Points with their times."""
+        timed = [self._timed(point.case, point.n_steps) for point in points]
+        times = time_in_turns([each.call for each in timed])
+        return [
+            point._replace(seconds=each.share * x.least)
+            for point, each, x in zip(points, timed, times, strict=True)
+        ]
 
     def _refusal(self) -> ValueError:
         error, n, name = min((error, n, str(case)) for (case, n), error in self.errors.items())

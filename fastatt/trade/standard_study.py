@@ -11,7 +11,7 @@ from time import perf_counter
 from fastatt import checks
 from fastatt.files import writing
 from fastatt.gyro.integrate import methods_for_samples
-from fastatt.threads import default_threads, progress_bar
+from fastatt.threads import progress_bar
 from fastatt.trade import ensembles, long_run, measure, summary
 from fastatt.trade.advice import USUAL
 from fastatt.trade.ensembles import SCENES
@@ -57,26 +57,27 @@ def run_trade(
         for name, cases in plan.items():
             study = ensembles.study(name, n_bodies)
             headings[name] = str(study)
-            measured: list[Row] = []
+            ladders: dict[Case, list[Row]] = {}
             drifts: list[Drifted] = []
             # a wide ensemble is for times, a few of its bodies for long runs
             small = ensembles.problem(name, few)
             for case in cases:
                 share = max(0.1, 0.7 * (until - perf_counter()) / left)
                 steps = ensembles.steps(study.problem, case, per_doubling)
-                measured += study.rows(case, steps, share)
+                ladders[case] = study.rows(case, steps, share)
                 if case.record.window is None:
                     drifts += long_run.long_run(name, small, case, n_steps)
                 left -= 1
                 done(1)
-            heading = f"{study.title}: error against time\n{processor_line(default_threads())}"
+            measured = study.timed(ladders)
+            heading = f"{study.title}: error against time\n{processor_line(1)}"
             measure.draw(measured, study.problem.duration, heading, out / f"error-{name}.png")
             if drifts:
                 heading = f"{study.title.partition(' ')[2]}: drift against time"
                 long_run.draw(drifts, heading, out / f"drift-{name}.png")
             rows += measured
             long += drifts
-    where = f"{n_bodies} bodies, {machine_line()}"
+    where = f"{n_bodies} bodies, {machine_line(1)}"
     to_csv(out / "trade.csv", rows)
     to_csv(out / "drift.csv", long)
     with writing("--out", out / "summary.md", text="utf-8") as file:

@@ -1,7 +1,8 @@
 """The summary of a study: on one screen, and as a page. How to read them.
 
-- A row is one method with one step size on one ensemble. Times are the shortest of repeated runs,
-  without compilation; errors and drifts do not depend on the machine.
+- A row is one method with one step size on one ensemble. Times are CPU times of one thread,
+  the least of five rounds or more in which all runs of a scene take turns, without compilation;
+  errors and drifts do not depend on the machine.
 - `error` is the largest angle, rad, between the attitude of any body at the end and the reference,
   which is a closed form or a run of a method of high order whose error is far smaller.
 - `method` is the fastest of those whose `error` is at most the target. Each is measured with

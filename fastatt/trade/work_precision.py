@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +22,7 @@ from fastatt.propagation.schedule import after
 from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import measure
-from fastatt.trade.measure import BRIEF, Case, Problem, Row, machine_line, table
+from fastatt.trade.measure import BRIEF, Case, Problem, Row, machine_line, table, with_times
 from fastatt.trade.reference import (
     Reference,
     confirmation,
@@ -29,6 +31,7 @@ from fastatt.trade.reference import (
     speeds,
 )
 from fastatt.trade.summary import TARGETS, closed_form, fastest
+from fastatt.trade.timing import ROUNDS, time_in_turns
 
 DTYPES = ("float64", "float32")
 # |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
@@ -49,13 +52,12 @@ class Study:
     problem: Problem
     known: Reference
     check: Reference
-    repeats: int
 
     @classmethod
-    def of(cls, name: str, title: str, problem: Problem, repeats: int) -> Study:
+    def of(cls, name: str, title: str, problem: Problem) -> Study:
         """Run the reference and what confirms it."""
         known = reference(problem)
-        return cls(name, title, problem, known, confirmation(problem, known), repeats)
+        return cls(name, title, problem, known, confirmation(problem, known))
 
     @property
     def apart(self) -> NDArray[np.float64]:
@@ -70,9 +72,12 @@ class Study:
             f"{self.apart.max():.1e} rad at most"
         )
 
-    def rows(self, case: Case, steps: Sequence[int], seconds: float = math.inf) -> list[Row]:
+    def rows(
+        self, case: Case, steps: Sequence[int], seconds: float = math.inf, rounds: int = ROUNDS
+    ) -> list[Row]:
         """A case in rising numbers of steps, until rounding dominates or the time is used up.
 
+        That is the time for two runs of each, and for the ``rounds`` in which they are timed.
         The closed form has one row. If it is the reference itself, its error is measured against
         what confirms it.
         """
@@ -81,7 +86,7 @@ class Study:
         order = case.record.order_of(self.problem.ensemble.scene.kind)
         unresolved = float(np.median(self.known.unresolved))
         # runs of a body, s
-        most = seconds / ((self.repeats + 2) * self.problem.ensemble.size)
+        most = seconds / ((rounds + 3) * self.problem.ensemble.size)
         rows: list[Row] = []
         for n in steps:
             rows = measure.with_orders([*rows, self.row(case, n)], case, order, unresolved)
@@ -94,7 +99,18 @@ class Study:
     def row(self, case: Case, n: int) -> Row:
         """A case in n steps."""
         end = self.check.end if case.record.is_exact else self.known.end
-        return measure.measure(self.problem, end, case, n, self.repeats, self.name)
+        return measure.measure(self.problem, end, case, n, self.name)
+
+    def timed(self, ladders: Mapping[Case, Sequence[Row]], rounds: int = ROUNDS) -> list[Row]:
+        """The rows of all cases with the times of runs that take turns."""
+        rows = [(case, row) for case, ladder in ladders.items() for row in ladder]
+        times = time_in_turns([self.call(case, row.n_steps) for case, row in rows], rounds)
+        size = self.problem.ensemble.size
+        return [with_times(row, x, size) for (_, row), x in zip(rows, times, strict=True)]
+
+    def call(self, case: Case, n: int) -> Callable[[], Any]:
+        """A run of a case in n steps, in one thread."""
+        return partial(replace(self.problem, n_threads=1).run, case, n)
 
 
 @dataclass(frozen=True)
@@ -105,7 +121,7 @@ class WorkPrecision:
     ----------
     rows : list of Row
         One row for each case and step size: method, representation, dtype, dt, errors (rad),
-        seconds for each body, drift, observed order, status.
+        seconds for each body and their quartiles, drift, observed order, status.
     study : Study
         The bodies that were measured, and the reference of the errors.
     """
@@ -135,7 +151,7 @@ class WorkPrecision:
         best = closed_form(self.rows), *(fastest(self.rows, target) for target in TARGETS)
         shown = dict.fromkeys(row for row in best if row)
         return (
-            f"{machine_line()}\n"
+            f"{machine_line(1)}\n"
             f"{self.study}\n"
             f"{len(self.rows)} rows (table() has all); the fastest at "
             f"{', '.join(f'{target:.0e}' for target in TARGETS)} rad:\n"
@@ -150,9 +166,8 @@ class WorkPrecision:
         path : str or Path
             The picture.
         """
-        problem = self.study.problem
-        heading = f"{self.study.title}\n{measure.processor_line(problem.n_threads)}"
-        measure.draw(self.rows, problem.duration, heading, path)
+        heading = f"{self.study.title}\n{measure.processor_line(1)}"
+        measure.draw(self.rows, self.study.problem.duration, heading, path)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the rows as CSV with a line of names.
@@ -179,7 +194,7 @@ def work_precision(
     representations: Sequence[str] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 1024,
-    repeats: int = 3,
+    repeats: int = ROUNDS,
     max_seconds: float = 60.0,
     n_threads: int | None = None,
     rng: int | np.random.Generator = 0,
@@ -213,12 +228,12 @@ def work_precision(
         Precisions to measure.
     sample : int, default 1024
         Number of bodies, half of them the fastest, the others chosen at random.
-    repeats : int, default 3
-        Number of runs, of which the shortest time counts.
+    repeats : int, default 5
+        Number of rounds, in each of which all runs are timed in turn; short ones take part in more.
     max_seconds : float, default 60.0
         Time for all rows together, s, without compilation; each case has its share.
     n_threads : int, optional
-        Number of threads, as in :func:`fastatt.propagate`.
+        Number of threads of the runs that find errors, as in :func:`fastatt.propagate`.
     rng : int or numpy.random.Generator, default 0
         Random generator, or a seed for one, which chooses bodies.
     progress : bool, default False
@@ -238,7 +253,8 @@ def work_precision(
     -----
     Each ladder begins where the fastest body rotates by 2 rad in a step, or by as much as the
     method allows, and the step is halved until rounding dominates or the time is used up. Times are
-    those of the sample, without compilation. Errors are angles at the end, rad, against the
+    CPU times of one thread for the sample, without compilation: the least counts, and quartiles are
+    kept. Errors are angles at the end, rad, against the
     ``reference``.
 
     Examples
@@ -258,15 +274,16 @@ def work_precision(
     size = checks.whole("sample", sample, 1)
     problem = whole.take(spread(whole, size, np.random.default_rng(rng)))
     title = f"{problem.ensemble.size} of {ensemble.size} bodies ({scene.kind})"
-    study = Study.of(scene.kind, title, problem, repeats)
+    study, rounds = Study.of(scene.kind, title, problem), checks.whole("repeats", repeats, 1)
     share = checks.real("max_seconds", max_seconds) / len(cases)
-    rows: list[Row] = []
+    ladders: dict[Case, list[Row]] = {}
     with progress_bar(progress, len(cases), "case") as done:
         for case in cases:
             least = coarsest(problem, case)
-            rows += study.rows(case, [least * 2**k for k in range(_RUNGS)], share)
+            steps = [least * 2**k for k in range(_RUNGS)]
+            ladders[case] = study.rows(case, steps, share, rounds)
             done(1)
-    return WorkPrecision(rows, study)
+    return WorkPrecision(study.timed(ladders, rounds), study)
 
 
 def cases_of(

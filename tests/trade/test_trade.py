@@ -116,7 +116,7 @@ def test_measured_errors_are_those_of_the_library():
     off = np.array([[np.cos(0.05), np.sin(0.05), 0.0, 0.0]])
     still = Problem(Ensemble(BODY_SCENES["free"], start, np.zeros((1, 3))), 1.0)
     end = State(off, np.array([[0.0, 3.0, 4.0]]))
-    row = measure(still, end, Case("dmv10"), 2, repeats=1)
+    row = measure(still, end, Case("dmv10"), 2)
     assert row.error_max == pytest.approx(0.1)
     assert row.rate_error_max == pytest.approx(5.0)
     assert (row.norm_error_max, row.energy_drift_max, row.momentum_drift_max) == (0.0, 0.0, 0.0)

@@ -98,7 +98,7 @@ def problem(scene, w0):
 def test_the_reference_is_as_good_as_it_says(scene, w0, method):
     """Another method comes as near as both may be off, and the tight run meets the closed form."""
     known = reference(problem(scene, w0))
-    study = Study.of("", "", problem(scene, w0), 1)
+    study = Study.of("", "", problem(scene, w0))
     assert known.error.max() < 1e-12
     assert study.apart.max() < known.error.max() + 1e-12
     tight = reference(problem(scene, w0), method=method)
@@ -181,5 +181,5 @@ def test_methods_of_ones_own_stand_beside_names():
 
 def test_status_is_counted():
     fast = Problem(Ensemble(FREE, Q0, 20.0 * W0), T_END)
-    row = measure(fast, reference(fast).end, Case("rk4"), 20, repeats=1)
+    row = measure(fast, reference(fast).end, Case("rk4"), 20)
     assert "STEP_TOO_LARGE" in row.status
