@@ -22,7 +22,7 @@ from fastatt.trade.reference import (
     samples_of_control,
     speeds,
 )
-from fastatt.trade.timing import TIE, once, time_in_turns
+from fastatt.trade.timing import BUDGET, TIE, once, time_in_turns
 from fastatt.trade.work_precision import spread
 
 _FINER = 30.0  # ratio of the tolerance and the reference's error
@@ -207,21 +207,21 @@ class Search:
                 met.append(Point(case, n, self.error(case, n), self.sampled))
                 best = min(best, n * step)
         sure: list[Point] = []
-        for point in sorted(self._in_turns(met), key=lambda point: point.seconds):
+        for point in sorted(self._in_turns(met, 0.0), key=lambda point: point.seconds):
             least = sure[0].seconds if sure else math.inf
             enough = len(sure) >= _VERIFIED_CASES and point.seconds > TIE * least
             if enough or point.seconds > _WORTH * least:
                 break
             if verified := self._sure(point.case, point.n_steps):
-                sure.append(verified)
+                sure.append(verified._replace(seconds=point.seconds))
         if not sure:
             raise self._refusal()
         return ranked(self._in_turns(sure))
 
-    def _in_turns(self, points: Sequence[Point]) -> list[Point]:
-        """Points with their times."""
+    def _in_turns(self, points: Sequence[Point], budget: float = BUDGET) -> list[Point]:
+        """Points with their times, of as many rounds as fit into a budget, s."""
         timed = [self._timed(point.case, point.n_steps) for point in points]
-        times = time_in_turns([each.call for each in timed])
+        times = time_in_turns([each.call for each in timed], budget=budget)
         return [
             point._replace(seconds=each.share * x.least)
             for point, each, x in zip(points, timed, times, strict=True)

@@ -15,8 +15,9 @@ ROUNDS = 5
 TIE = 1.1
 _MOST = 25  # rounds
 _LEAST = 2e-3  # s of one timing, reached by repeating a call
-_LONG = 0.05  # s of a call that takes part in the fewest rounds only
-_BUDGET = 0.5  # s of rounds beyond the fewest
+_LONG = 0.1  # s of a call that takes part in the fewest rounds only
+#: s of rounds, beyond which there are the fewest only
+BUDGET = 2.0
 
 
 class Times(NamedTuple):
@@ -36,7 +37,7 @@ def once(call: Callable[[], Any], repeats: int = 1) -> tuple[float, Any]:
 
 
 def time_in_turns(
-    calls: Sequence[Callable[[], Any]], rounds: int = ROUNDS, budget: float = _BUDGET
+    calls: Sequence[Callable[[], Any]], rounds: int = ROUNDS, budget: float = BUDGET
 ) -> list[Times]:
     """Times of calls, of each once in every round, without what other processes take.
 

@@ -191,6 +191,10 @@ def test_text_names_what_matters():
     chosen = advised(1e-6)
     up = Point(Case("rk4"), 100, 1e-7, N, 2.0 * chosen.expected_seconds)
     text = str(replace(chosen, runner_up=up))
+    near = up._replace(seconds=1.09 * chosen.expected_seconds)
+    assert "runner-up  rk4 (quat, float64), 100 steps: as fast\n" in str(
+        replace(chosen, runner_up=near)
+    )
     for part in (
         f"{chosen.method} (quat, float64): {chosen.n_steps} steps",
         "tol 1e-06",

@@ -61,6 +61,7 @@ def test_free_bodies_keep_what_they_keep(free):
     assert 0.0 < exact.error_max < 1e-12
     for row in free.rows:
         assert None not in (row.rate_error_max, row.energy_drift_max, row.momentum_drift_max)
+        assert row.seconds_per_body <= row.seconds_lower <= row.seconds_upper
     assert free.study.title == f"32 of {N} bodies (free)"
     assert free.study.known.source == "the closed form"
 
