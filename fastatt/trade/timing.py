@@ -42,12 +42,12 @@ def time_in_turns(
     """Times of calls, of each once in every round, without what other processes take.
 
     Calls use one thread, and have run before, so that all is compiled. There are as many
-    ``rounds``, or more as long as all of them take less than a ``budget``, s.
+    ``rounds``, or more of several calls as long as all take less than a ``budget``, s.
     """
     repeats = [_repeats(call) for call in calls]
     taken: list[list[float]] = [[] for _ in calls]
     begin = process_time()
-    for done in range(max(rounds, _MOST)):
+    for done in range(max(rounds, _MOST if len(calls) > 1 else 0)):
         if done >= rounds and process_time() - begin > budget:
             break
         gc.disable()
