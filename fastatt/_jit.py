@@ -9,17 +9,17 @@ loop that calls stays scalar.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit, types
+from numba import TypingError, config, njit, types
 from numba.extending import register_jitable
 
-from fastatt._numba import LOOP, TypingError, compiled, forget, keep
+from fastatt._numba import LOOP, compiled, keep, moved
+from fastatt._store import kept
 
 _COMMON: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _INLINED: dict[str, Any] = {**_COMMON, "fastmath": {"contract", "nsz"}, "forceinline": True}
@@ -42,26 +42,22 @@ _MACHINES: list[Any] = []
 
 
 def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
-    """Compile a loop over arrays for a signature; Numba keeps it on disk.
+    """Compile a loop over arrays for a signature, or load it.
 
     The result takes arguments of these types without a check of theirs, and releases the GIL.
     """
-    for is_kept in (True, True, False):
-        dispatcher: Any = njit(**_LOOP)(function)
-        if is_kept:
-            _kept(dispatcher)
-        try:
-            dispatcher.compile(signature)
-            break
-        except Exception:  # damaged files; of an error in the function the last attempt tells
-            if not is_kept:
-                raise
-            with contextlib.suppress(Exception):
-                forget(function)
-    _MACHINES.append(dispatcher)
-    return compiled(dispatcher)
+
+    def make(file: str | None) -> Any:
+        source = moved(function, file) if file else function
+        return njit(signature, **_LOOP, cache=file is not None)(source)
+
+    name = f"{function.__module__}.{function.__qualname__}"
+    _MACHINES.append(kept(f"{name}\0{signature}\0{_stamp()}", make))
+    return compiled(_MACHINES[-1])
 
 
+#: the type of a jitted function
+Dispatcher: Any = type(njit(machine))
 #: a part of a machine
 loop_part = njit(**_LOOP, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
@@ -73,23 +69,13 @@ def _has_integer(ty: types.Type) -> bool:
 
 
 @functools.cache
-def _sources() -> tuple[int, int]:
+def _stamp() -> str:
     """A stamp of the whole package's sources."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         info = path.stat()
         digest.update(f"{path}:{info.st_mtime_ns}:{info.st_size};".encode())
-    return int.from_bytes(digest.digest()[:7]), 0
-
-
-def _kept(dispatcher: Any) -> None:
-    """Keep machine code on disk as long as no source of the package changes.
-
-    Numba checks the function's own file only, so that callers would not notice an edit of a kernel.
-    Without a writable folder nothing is kept.
-    """
-    with contextlib.suppress(RuntimeError):
-        keep(dispatcher, _sources())
+    return digest.hexdigest()[:16]
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -127,7 +113,7 @@ def _of_floats(
             )
         # not at import, where looking for the folders of all kernels would double the time
         if is_kept and not dispatcher.overloads:
-            _kept(dispatcher)
+            keep(dispatcher, _stamp())
         return compile_signature(sig)
 
     dispatcher.compile = compile_floats

@@ -12,32 +12,25 @@ import itertools
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
+from types import FunctionType
 from typing import Any
 
 import llvmlite
 import numba
-from llvmlite import ir
+from llvmlite import binding, ir
 from llvmlite.binding import newpassmanagers as passes
-from numba import types
-from numba.core.caching import FunctionCache
-from numba.core.ccallback import _CFuncCompiler  # type: ignore[attr-defined]
-from numba.core.codegen import AOTCodeLibrary, JITCPUCodegen
-from numba.core.compiler import Compiler
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.errors import TypingError
+from numba import config, njit, types
 from numba.core.imputils import lower_builtin, lower_constant
-from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typing.templates import signature
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["CPUDispatcher", "TypingError", "to_fixed_tuple"]  # as they are
+__all__ = ["to_fixed_tuple"]  # as it is
 
 #: an option for loops that allocate nothing: without it atomic counts of references to arrays take
 #: longer than cheap formulas; Numba refuses it if it is not there
 LOOP = {"_nrt": False}
-#: held by a thread that compiles, so that two threads do not compile the same
-compiler_lock = global_compiler_lock
+#: the newest release of Numba that was seen
+_SEEN = 0, 68
 _BYTE = ir.IntType(8)
 #: the value of a type without values, such as None
 NOTHING = ir.Constant(_BYTE.as_pointer(), None)
@@ -47,23 +40,32 @@ _WIDE = '"prefer-vector-width"="512"'
 # machine code on disk
 
 
-def keep(dispatcher: Any, stamp: tuple[int, int]) -> None:
-    """Keep what a dispatcher compiles on disk, as long as a stamp of all sources is the same.
+def moved(function: Any, file: str) -> Any:
+    """A function as if its source were another file, beside which Numba keeps machine code."""
+    code = function.__code__.replace(co_filename=file)
+    name, values = function.__name__, function.__defaults__
+    return FunctionType(code, function.__globals__, name, values, function.__closure__)
 
-    Numba's own stamp is that of one file. Raises ``RuntimeError`` if there is no folder.
+
+def folder_of(file: str) -> Path:
+    """The folder in which Numba keeps machine code of a source file.
+
+    Raises ``RuntimeError`` if there is none.
     """
-    dispatcher.enable_caching()
-    dispatcher._cache._cache_file._source_stamp = stamp  # noqa: SLF001
+    return Path(njit(cache=True)(moved(folder_of, file)).stats.cache_path)
 
 
-def forget(function: Callable[..., Any]) -> None:
-    """Remove a function's machine code from the disk, such as files that are damaged."""
-    FunctionCache(function).flush()
+def keep(dispatcher: Any, stamp: str) -> None:
+    """Keep what a dispatcher compiles on disk, in files of its own for each stamp of all sources.
 
-
-def folder_of(function: Callable[..., Any]) -> Path:
-    """The folder in which Numba keeps machine code of the function's file."""
-    return Path(FunctionCache(function).cache_path)
+    Numba's own stamp is that of one file. Without a writable folder nothing is kept.
+    """
+    function = dispatcher.py_func
+    name = function.__qualname__
+    function.__qualname__ = f"{name}-{stamp}"  # by which Numba names its files
+    with contextlib.suppress(RuntimeError):
+        dispatcher.enable_caching()
+    function.__qualname__ = name
 
 
 def never_kept(module: Any) -> None:
@@ -87,8 +89,11 @@ def never_kept(module: Any) -> None:
 
 def target() -> tuple[str, str, str]:
     """Triple, processor and features for which Numba compiles, on which vectors depend."""
-    triple, name, features = _target().target_context.codegen().magic_tuple()
-    return str(triple), str(name), str(features)
+    found, features = binding.get_host_cpu_features(), config.CPU_FEATURES
+    if not config.ENABLE_AVX:
+        found.update({name: False for name in found if name.startswith("avx")})
+    name = config.CPU_NAME or binding.get_host_cpu_name()
+    return binding.get_process_triple(), name, found.flatten() if features is None else features
 
 
 # since llvmlite 0.45 its pass managers have two bases with this method, of which the first does
@@ -97,36 +102,13 @@ for _managers in (passes.ModulePassManager, passes.FunctionPassManager):
     _managers._dispose = getattr(passes, "NewPassManager", _managers)._dispose  # noqa: SLF001
 
 
-class _Apart(JITCPUCodegen):  # type: ignore[misc]
-    """Numba's code generator without its engine, which keeps whatever it is given for ever."""
+def needed(made: Any) -> Any:
+    """What is to be kept of something compiled for as long as it is called.
 
-    _library_class = AOTCodeLibrary
-
-    def _add_module(self, module: Any) -> None:
-        pass
-
-
-@functools.cache
-def _target() -> Any:
-    """Numba's target with that code generator."""
-    context = cpu_target.target_context.subtarget(_internal_codegen=_Apart("fastatt"))
-    return SimpleNamespace(
-        options=cpu_target.options,
-        typing_context=cpu_target.typing_context,
-        target_context=context,
-    )
-
-
-def linked_code(function: Callable[..., Any], sig: Any) -> tuple[str, Any]:
-    """The name of a function of numbers and addresses, as ``cfunc`` makes it, and its library.
-
-    ``emit_native_object`` of the library gives its machine code.
+    That is nothing but for releases that were not seen: so far Numba releases no machine code, and
+    what it made on the way is as large.
     """
-    compiler = _CFuncCompiler(function, _target(), LOOP, {}, Compiler)
-    made = compiler.compile(sig.args, sig.return_type)
-    library = made.library
-    library.finalize()
-    return made.fndesc.llvm_cfunc_wrapper_name, library
+    return made if numba.version_info.short > _SEEN else None
 
 
 def compiled(dispatcher: Any) -> Callable[..., Any]:
@@ -221,23 +203,12 @@ def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
 @functools.cache
 def check() -> None:
     """Try what would fail without a word. Raises ``ImportError`` with the versions."""
-    library = _target().target_context.codegen().create_library("checked")
-    module = library.create_ir_module("checked")
+    module = ir.Module("checked")
     never_kept(module)
     function = ir.Function(module, ir.FunctionType(ir.VoidType(), ()), "checked")
     prefer_wide_vectors(function)
     ir.IRBuilder(function.append_basic_block()).ret_void()
-    with compiler_lock:
-        library.add_ir_module(module)
-        library.finalize()
-    trials = {
-        "what tells that code is not to be kept": library.has_dynamic_globals,
-        "attributes of functions": _WIDE in str(module),
-        "what adds code to the engine": "_add_module" in vars(JITCPUCodegen),
-    }
-    with contextlib.suppress(RuntimeError):  # Numba has no folder
-        kept = FunctionCache(check.__wrapped__)
-        trials["stamps of sources"] = hasattr(kept._cache_file, "_source_stamp")  # noqa: SLF001
+    trials = {"attributes of functions": _WIDE in str(module)}
     for what, holds in trials.items():
         if not holds:
             raise ImportError(

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fastatt import __version__
+from fastatt import __version__, _store
 from fastatt.checks import attitudes, choice
-from fastatt.codegen import modules
 from fastatt.gyro.attitudes import attitude_rows, check_ending, write_attitudes
 from fastatt.gyro.columns import ANGLES, TIME_UNITS, UNITS
 from fastatt.gyro.integrate import methods_for_samples
@@ -124,8 +123,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _cache(arguments: argparse.Namespace) -> None:
     if arguments.clear:
-        modules.clear()
-    print(modules.where())
+        _store.clear()
+    print(_store.where())
 
 
 def _add_log(command: argparse.ArgumentParser) -> None:

@@ -16,8 +16,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 if "numba" in sys.modules:
     raise RuntimeError("numba was imported before its cache could be set")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_ROOT / ".numba_cache"))
-# a cache of the tests' own: their programs are compiled without the optimiser
-os.environ["FASTATT_CACHE"] = str(_ROOT / ".fastatt_cache" / "tests")
+os.environ.setdefault("FASTATT_CACHE", str(_ROOT / ".fastatt_cache"))
 os.environ["MPLBACKEND"] = "Agg"
 
 # the first example of a test compiles, so no example has a deadline
@@ -59,9 +58,6 @@ def _forget():
 
 def pytest_sessionstart():
     """Workers compile the loops that all of them load, each its share, before any test."""
-    import quick
-
-    quick.use()
     count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     if count == 1:
         return

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
-import quick
 from llvmlite import binding
 
+from fastatt import _numba, _store
 from fastatt.codegen import modules
 from fastatt.codegen.processor import processor
 from fastatt.engine.program import Program
@@ -42,33 +42,33 @@ def job_of(monkeypatch, run):
     return seen.value.args[0]
 
 
-def libraries(job):
-    """Numba's libraries of a job: its program and, where it has one, the form for any angle.
+def texts(job):
+    """The functions of a job in LLVM's language: its program, and the form for any angle.
 
     They are compiled in memory: what comes from disk has no text.
     """
-    kept, found = modules.folder, []
-    modules.folder = lambda: None
+    found, kept = [], (_store.folder, modules.needed)
+    _store.folder = lambda: None
+    modules.needed = lambda made: found.append(made.inspect_llvm())
     try:
-        with quick.optimised(found):
-            program = Program(job)
-            if job.any_angle is not None:
-                program.compile_any_angle()
+        program = Program(job)
+        if job.any_angle is not None:
+            program.compile_any_angle()
     finally:
-        modules.folder = kept
+        _store.folder, modules.needed = kept
     return found
-
-
-def texts(job):
-    """The functions in LLVM's language."""
-    return [library.get_llvm_str() for library in libraries(job)]
 
 
 def assemblies(job):
     """Their assembly, without the wrappers by which they are called."""
+    triple, name, features = _numba.target()
+    machine = binding.Target.from_triple(triple).create_target_machine(
+        cpu=name, features=features, opt=3, reloc="static", codemodel="jitdefault"
+    )
     found = []
-    for library in libraries(job):
-        parts = re.split(r"(?m)^\s*\.globl\s+", library.get_asm_str())
+    for text in texts(job):
+        assembly = machine.emit_assembly(binding.parse_assembly(text))
+        parts = re.split(r"(?m)^\s*\.globl\s+", assembly)
         (own,) = [x for x in parts if re.match(r"_ZN\S*3run", x)]
         found.append(own)
     return found

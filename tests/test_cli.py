@@ -183,7 +183,7 @@ def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, status, li
     def failing():
         raise error
 
-    monkeypatch.setattr("fastatt.cli.modules.where", failing)
+    monkeypatch.setattr("fastatt.cli._store.where", failing)
     monkeypatch.setattr("sys.argv", ["fastatt", "cache"])
     assert start() == status
     assert capsys.readouterr().err == f"fastatt: {line}\n"

@@ -17,16 +17,14 @@ PACKAGE = Path(fastatt.__file__).parent
 # documented: llvmlite's layer of instructions, and Numba's functions for extensions
 DOCUMENTED = {"numba", "numba.extending", "numba.types", "llvmlite", "llvmlite.ir"}
 SCRIPT = """
+import sys
 from pathlib import Path
-import kept_function
-from fastatt import _jit, _numba
+from kept_function import add
+from fastatt import _numba
 _numba.check()
-_jit._kept(kept_function.add)
-kept_function.add(1.0, 2.0)
-print(
-    sum(kept_function.add.stats.cache_hits.values()),
-    len(list(_numba.folder_of(kept_function.add.py_func).iterdir())),
-)
+_numba.keep(add, sys.argv[1])
+add(1.0, 2.0)
+print(sum(add.stats.cache_hits.values()), len(list(Path(add.stats.cache_path).iterdir())))
 """
 
 
@@ -36,17 +34,20 @@ def test_the_check_holds_and_files_are_found_in_two_processes(tmp_path):
     )
     path = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
     env = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
-    for hits in (0, 1):
+    for stamp, hits, files in (("1", "0", "2"), ("1", "1", "2"), ("2", "0", "4"), ("1", "1", "4")):
         told = subprocess.run(
-            [sys.executable, "-c", SCRIPT], env=env, capture_output=True, text=True, check=True
+            [sys.executable, "-c", SCRIPT, stamp],
+            env=env,
+            capture_output=True,
+            text=True,
+            check=True,
         )
-        assert told.stdout.split() == [str(hits), "2"]
+        assert told.stdout.split() == [hits, files]
 
 
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
-        ("never_kept", lambda module: None, "code is not to be kept"),
         ("prefer_wide_vectors", lambda function: None, "attributes"),
     ],
 )

@@ -17,20 +17,20 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import TypingError, types
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
 from fastatt._cached import cached_property
+from fastatt._jit import Dispatcher
 from fastatt._numba import (
     NOTHING,
-    CPUDispatcher,
     FormulaType,
-    TypingError,
     array_of,
     check,
     never_kept,
     tuple_of,
 )
+from fastatt._store import within_numba
 from fastatt.codegen.call import TYPES
 from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.instructions import I64, Code
@@ -74,7 +74,7 @@ class ScalarFunction:
     ) -> None:
         functools.update_wrapper(self, function)
         self._function = function
-        self._rewritten = rewritten or isinstance(function, CPUDispatcher)
+        self._rewritten = rewritten or isinstance(function, Dispatcher)
         self.tables = {
             k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()
         }
@@ -197,20 +197,27 @@ def _numba_type(scalar: ScalarFunction) -> FormulaType:
         pairs = zip(given, held.sizes, strict=False)
         return tuple(_form_of_type(ty, name, n) for ty, n in pairs)
 
+    def traced(forms: tuple[Any, ...]) -> Traced:
+        before = within_numba.set(True)
+        try:
+            return held.traced(forms)  # type: ignore[no-any-return]
+        finally:
+            within_numba.reset(before)
+
     def typed(args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
         try:
             bound = held.parameters.bind(*args, **named).args
             given = [types.unliteral(ty) for ty in bound]
-            result = held.traced(forms_of(given)).form
+            result = traced(forms_of(given)).form
         except TypeError as error:
             raise TypingError(f"{name}: {error}") from error
         return _type_of_form(result), given, held.parameters
 
     def written(context: Any, builder: Any, given: Sequence[Any], args: Sequence[Any]) -> Any:
         forms = forms_of(given)
-        traced = held.traced(forms)
+        formula = traced(forms)
         code = Code(builder)
-        keys, pointers = traced.resources, {}
+        keys, pointers = formula.resources, {}
         read.append((keys, held.tables if keys else None))
         check()
         never_kept(builder.module)
@@ -226,8 +233,8 @@ def _numba_type(scalar: ScalarFunction) -> FormulaType:
         def number(name: tuple[Any, ...], precision: str) -> tuple[Any, bool]:
             return code.cast(precision, numbers[name[1]]), False
 
-        results = Emitter(code, traced.lanes, pointers)(traced.flat, number)
-        return _made(context, builder, traced.form, iter(value for value, _ in results))
+        results = Emitter(code, formula.lanes, pointers)(formula.flat, number)
+        return _made(context, builder, formula.form, iter(value for value, _ in results))
 
     return FormulaType(name, typed, written)
 

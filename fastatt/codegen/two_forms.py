@@ -6,7 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Any
 
-from fastatt._numba import compiler_lock
+from fastatt._store import alone
 from fastatt.codegen.modules import MachineCode
 
 
@@ -35,7 +35,7 @@ class TwoForms(ABC):
 
     def compile_any_angle(self) -> None:
         """Compile the any-angle form, if it is not compiled."""
-        with compiler_lock:
+        with alone():
             if self.any_angle == 0:
                 made = self._compiled(small_angle=False)
                 self.functions.append(made)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from fastatt._numba import CPUDispatcher
+from fastatt._jit import Dispatcher
 from fastatt.tracing import functions, graph
 from fastatt.tracing.frozen import Freezer, check, guarded, plain
 from fastatt.tracing.nodes import Recorded, TraceError
@@ -57,7 +57,7 @@ def stand_in(value: Any) -> Any:
         return found
     if is_module:
         return Traceable(value.__name__)
-    return _lazily(value) if is_plain or isinstance(value, CPUDispatcher) else value
+    return _lazily(value) if is_plain or isinstance(value, Dispatcher) else value
 
 
 def _lazily(function: Any) -> Callable[..., Any]:

@@ -121,7 +121,7 @@ def arm(monkeypatch):
     except RuntimeError as error:
         pytest.skip(str(error))
     found = described("aarch64-linux-gnu", "generic", "")
-    for module in ("codegen.modules", "codegen.emitter", "engine.program"):
+    for module in ("codegen.emitter", "engine.program"):
         monkeypatch.setattr(f"fastatt.{module}.processor", lambda: found)
     machine = target.create_target_machine(cpu="generic", features="", opt=2)
 
