@@ -261,7 +261,10 @@ def test_a_folder_of_numba_that_others_may_write_to_is_said_once(cache, monkeypa
     store._check_numbas.cache_clear()
     with pytest.warns(UserWarning, match=r"NUMBA_CACHE_DIR: .* others may write to it"):
         answer(43)
+    made = store.made
     answer(44)  # a second warning would be an error
+    answer(44)  # nor is it kept where others could change what Numba loads
+    assert store.made == made + 2
     store._check_numbas.cache_clear()
 
 
