@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape, StepTimes
 from fastatt.codegen.memory import DTYPES, aligned
-from fastatt.codegen.modules import MachineCode
+from fastatt.codegen.modules import MachineCode, TwoForms
 from fastatt.codegen.processor import processor
-from fastatt.codegen.two_forms import TwoForms
 from fastatt.engine import marks
 from fastatt.engine.job import Job
 from fastatt.engine.machine import PROGRAM, TIME, Tile
