@@ -56,8 +56,6 @@ def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
     return compiled(_MACHINES[-1])
 
 
-#: the type of a jitted function
-Dispatcher: Any = type(njit(machine))
 #: a part of a machine
 loop_part = njit(**_LOOP, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 

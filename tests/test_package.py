@@ -140,7 +140,7 @@ def fresh_python(code):
 @pytest.mark.parametrize("kind", ["zip", "pyc"])
 def test_an_installation_without_sources_says_so(tmp_path, kind):
     shutil.copytree(ROOT / "fastatt" / "kernels", tmp_path / "fastatt" / "kernels")
-    for name in ("__init__.py", "_jit.py", "_numba.py", "checks.py"):
+    for name in ("__init__.py", "_jit.py", "_numba.py", "_store.py", "checks.py"):
         shutil.copy(ROOT / "fastatt" / name, tmp_path / "fastatt")
     place = tmp_path
     if kind == "zip":

@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import TypingError, types
-from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
+from numba.extending import NativeValue, is_jitted, models, register_model, typeof_impl, unbox
 
 from fastatt._cached import cached_property
-from fastatt._jit import Dispatcher
 from fastatt._numba import (
     NOTHING,
     FormulaType,
@@ -74,7 +73,7 @@ class ScalarFunction:
     ) -> None:
         functools.update_wrapper(self, function)
         self._function = function
-        self._rewritten = rewritten or isinstance(function, Dispatcher)
+        self._rewritten = rewritten or is_jitted(function)
         self.tables = {
             k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()
         }

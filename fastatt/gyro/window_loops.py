@@ -18,9 +18,8 @@ import numpy as np
 
 from fastatt.codegen.lanes import LaneFormula, LaneProgram, Place, Shape
 from fastatt.codegen.memory import DTYPES, aligned
-from fastatt.codegen.modules import MachineCode
+from fastatt.codegen.modules import MachineCode, TwoForms
 from fastatt.codegen.processor import processor
-from fastatt.codegen.two_forms import TwoForms
 from fastatt.gyro.loops import ITERATION, LANES, PLACE, WINDOWS, Tile, WindowShape
 from fastatt.kernels import quat
 from fastatt.methods.windows import CHUNK, MOST_HISTORY, Iteration, Window, products

@@ -14,7 +14,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from fastatt._jit import Dispatcher
+from numba.extending import is_jitted
+
 from fastatt.tracing import functions, graph
 from fastatt.tracing.frozen import Freezer, check, guarded, plain
 from fastatt.tracing.nodes import Recorded, TraceError
@@ -57,7 +58,7 @@ def stand_in(value: Any) -> Any:
         return found
     if is_module:
         return Traceable(value.__name__)
-    return _lazily(value) if is_plain or isinstance(value, Dispatcher) else value
+    return _lazily(value) if is_plain or is_jitted(value) else value
 
 
 def _lazily(function: Any) -> Callable[..., Any]:
