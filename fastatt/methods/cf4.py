@@ -65,6 +65,7 @@ METHOD = lie_method(
     body_limit=1.9,
     damping_limit=1.7,
     reversible=("rate",),
+    tried_on=(),
     summary="two exponentials of weighted sums of rates, without commutators",
     source="Celledoni, Marthinsen, Owren, Future Gen. Comp. Syst. 19 (2003) 341",
 )

@@ -36,6 +36,7 @@ LIE_EULER = _method(
     1,
     ((1.0, 0.0),),
     limit=0.1,
+    tried_on=(),
     summary="exponential of the rate at the start of the step; exact for a constant rate",
     source="Iserles, Munthe-Kaas, Nørsett, Zanna, Acta Numerica 9 (2000), eq. 2.4",
 )
@@ -53,6 +54,7 @@ CG3 = _method(
     3,
     ((13.0 / 51.0, 0.0), (-2.0 / 3.0, 0.75), (24.0 / 17.0, 17.0 / 24.0)),
     limit=1.8,  # of the last rotation, 24/17 |w|h
+    tried_on=(),
     summary="product of exponentials of rates; historical: magnus4 is faster and more accurate",
     source="Crouch and Grossman, J. Nonlinear Sci. 3 (1993) 1",
 )

@@ -89,6 +89,7 @@ def _method(order: int, limit: float, summary: str, *, corrected: bool) -> Metho
         ),
         reversible=FREE,
         symplectic=not corrected,
+        tried_on=FREE if corrected else (),
         summary=f"no trigonometry; conserves energy and angular momentum{summary}",
         source="Hairer and Vilmart, J. Phys. A 39 (2006) 13225",
     )

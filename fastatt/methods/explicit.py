@@ -144,6 +144,7 @@ RK8 = explicit_method(
     of_matrices=3.9,
     scenes=BODIES,
     damping_limit=5.1,
+    tried_on=("torqued",),
     summary="explicit, 12 stages; for any torque and tight tolerances",
     source="Dormand and Prince; Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.5, DOP853",
 )
@@ -195,6 +196,7 @@ RK9 = explicit_method(
     of_matrices=3.9,
     scenes=BODIES,
     damping_limit=3.8,
+    tried_on=("torqued",),
     summary="explicit, 15 stages; for slow torque functions and errors below 1e-6",
     source="Verner, Numer. Algorithms 53 (2010) 383: order 9 of the more robust pair 9(8)",
 )

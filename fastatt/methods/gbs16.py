@@ -91,6 +91,7 @@ METHOD = Method(
     limits={"quaternion": 5.9, "matrix": 2.9, "mrp": 2.9, "coordinates": 0.3},
     steps=Steps(body=step),
     damping_limit=7.3,
+    tried_on=("torqued",),
     summary="extrapolated midpoint rule; for fast torque functions and errors below 1e-6",
     source="Hairer, Nørsett, Wanner, Solving ODEs I (1993), §II.9, eqs. 9.10 and 9.13",
 )

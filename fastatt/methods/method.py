@@ -112,6 +112,9 @@ class Method:
     within : bool
         Whether a step evaluates rates, torques and forces between its ends only, as scenes with
         breakpoints need.
+    tried_on : tuple of str, optional
+        Kinds of scenes for which advice tries the method if none is named; the default is all that
+        it accepts. A method is left out where others were faster in all that was measured.
 
     Examples
     --------
@@ -160,6 +163,7 @@ class Method:
     couples: bool = False
     #: whether a step evaluates rates, torques and forces between its ends only
     within: bool = True
+    tried_on: tuple[str, ...] | None = None
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """Pickle the library's methods by name, since they contain nested functions."""
@@ -185,6 +189,21 @@ class Method:
     def iterates(self) -> bool:
         """Whether a step is implicit and solved by iteration."""
         return self.steps is not None and self.steps.iterates
+
+    def is_tried_on(self, scene: str) -> bool:
+        """Whether advice tries the method on a kind of scene.
+
+        Parameters
+        ----------
+        scene : str
+            A kind of scene, ``Scene.kind``.
+
+        Returns
+        -------
+        bool
+            Whether it does.
+        """
+        return self.tried_on is None or scene in self.tried_on
 
     def order_of(self, scene: str) -> int:
         """Order on a kind of scene.

@@ -52,6 +52,7 @@ METHOD = lie_method(
     body_limit=1.9,
     damping_limit=1.7,
     exact_for_constant=False,  # its equation is singular at 2π
+    tried_on=(),
     summary="Runge-Kutta on the rotation vector; less error than magnus4 in coning near 1 rad",
     source="Munthe-Kaas, Appl. Numer. Math. 29 (1999) 115",
 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.methods import Method
+from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
@@ -19,12 +19,6 @@ from fastatt.trade.search import Point, Search
 from fastatt.trade.timing import TIE
 from fastatt.trade.work_precision import DTYPES, cases_of, problem_over
 
-#: methods that were on the frontier for some measured scene; others are tried only if named
-USUAL = {
-    "rate": ("lie_midpoint", "rk4", "magnus4", "magnus6", "magnus8", "gauss12"),
-    "free": ("exact", "strang2", "rk4", "dmv10", "kahan_li8"),
-    "torqued": ("exact", "strang2", "rk4", "rk8", "rk9", "gbs16", "kahan_li8"),
-}
 _HOPELESS = 6.0  # a case with this many times the estimated work of the best is not tried
 _SINGLE = 1e-6  # rad; float32 is never that accurate
 
@@ -160,8 +154,8 @@ def recommend(
     t0 : float, default 0.0
         Time of the initial state, s.
     methods : sequence of str or Method, optional
-        Methods to choose from. The default is those that are the fastest for some scene;
-        the message of an unknown one lists all.
+        Methods to choose from. The default is those that are the fastest for some scene of the
+        kind (``Method.tried_on``); the message of an unknown one lists all.
     representations : sequence of str, default ("quat",)
         Representations to choose from.
     dtypes : sequence of str, default ("float64", "float32")
@@ -218,9 +212,8 @@ def recommend(
     tol = checks.above_zero("tol", tol)
     ensemble = Ensemble.of(scene, q0, w0, v0, r0, s0)
     whole = problem_over(ensemble, t_end, t0, n_threads)
-    fitting = methods_for(scene)
     kind = "torqued" if scene.states else scene.kind
-    usual = [m for m in USUAL.get(kind, USUAL["free"]) if m in fitting]
+    usual = [name for name in methods_for(scene) if METHODS[name].is_tried_on(kind)]
     cases = cases_of(scene, usual if methods is None else methods, representations, dtypes)
     if methods is None:
         cases = _hopeful(cases, tol)

@@ -18,13 +18,13 @@ from fastatt.closed_form import solution_of
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import breaks_within
 from fastatt.propagation.choice_of_method import methods_for
+from fastatt.scene.scene import Scene
 from fastatt.trade.forcing import BREAKPOINTS, SAMPLES, forcing
 from fastatt.trade.ladder import SATURATED, Ladder
 from fastatt.trade.measure import Case, Problem, State, last_state
 
-# methods of high order with other formulas than those of the reference
-_CONFIRMING = ("dmv10", "rk9", "kahan_li8", "magnus8", "gauss12", "rk4")
-_EVALUATIONS = 12  # evaluations in a step of a reference; more of them round more
+# evaluations in a step of a reference, and of what confirms it; more of them round more
+_EVALUATIONS, _CONFIRMING = 12, 15
 _EPS = float(np.finfo(np.float64).eps)
 _LEAST = 4  # steps
 # the most body-steps of a reference, about 2 s of the slowest method on one core
@@ -137,11 +137,14 @@ def reference(
         error = 2.0 * _EPS * (1.0 + angle)
         return Reference(problem, Case("exact"), 1, "the closed form", error)
     if method is None:
-        fitting = [METHODS[name] for name in methods_for(scene, "quat")]
-        short = [m for m in fitting if m.is_stepped and m.rate_calls <= _EVALUATIONS]
-        # the first of the highest order
-        method = max(short, key=lambda m: m.order).name
+        method = _of_high_order(scene, _EVALUATIONS)
     return _tight(problem, method, most, goal, samples)
+
+
+def _of_high_order(scene: Scene, evaluations: int, other: str = "") -> str:
+    """The first method of the highest order but ``other``, of those with few evaluations."""
+    fitting = [METHODS[name] for name in methods_for(scene, "quat", stepped=True) if name != other]
+    return max((m for m in fitting if m.rate_calls <= evaluations), key=lambda m: m.order).name
 
 
 def intervals(problem: Problem) -> int:
@@ -242,6 +245,5 @@ def _is_magnified_rounding(ladder: Ladder) -> bool:
 
 def confirmation(problem: Problem, known: Reference) -> Reference:
     """Another method, as accurate as a reference."""
-    fitting = methods_for(problem.ensemble.scene, "quat")
-    others = [m for m in _CONFIRMING if m in fitting and m != known.case.name]
-    return reference(problem, method=next(iter(others), fitting[0]))
+    other = _of_high_order(problem.ensemble.scene, _CONFIRMING, known.case.name)
+    return reference(problem, method=other)

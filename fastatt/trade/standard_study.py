@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import perf_counter
 
 from fastatt import checks
 from fastatt.files import writing
-from fastatt.gyro.integrate import methods_for_samples
+from fastatt.methods import METHODS
 from fastatt.threads import progress_bar
 from fastatt.trade import ensembles, long_run, measure, summary
-from fastatt.trade.advice import USUAL
 from fastatt.trade.ensembles import SCENES
 from fastatt.trade.long_run import Drifted
 from fastatt.trade.measure import Case, Row, machine_line, processor_line, table, to_csv
@@ -99,7 +97,7 @@ def _plan(
     fitting = dict.fromkeys(case.name for cases in every.values() for case in cases)
     for method in methods or ():
         checks.choice("--methods", method, fitting)
-    usual = {*chain.from_iterable(USUAL.values()), *methods_for_samples()}
+    usual = [m.name for m in METHODS.values() if m.tried_on != ()]
     wanted = methods or (usual if quick else fitting)
     plan = {name: [c for c in cases if c.name in wanted] for name, cases in every.items()}
     return {name: cases for name, cases in plan.items() if cases}

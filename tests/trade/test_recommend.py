@@ -11,9 +11,10 @@ import pytest
 from each import each
 
 import fastatt as fa
+from fastatt import methods
 from fastatt.arrays import normalised
 from fastatt.propagation.ensemble import Ensemble
-from fastatt.trade import search
+from fastatt.trade import advice, search
 from fastatt.trade.forcing import forcing
 from fastatt.trade.ladder import Ladder
 from fastatt.trade.measure import Case, Problem
@@ -204,6 +205,26 @@ def test_text_names_what_matters():
         "reference  gauss12 at ",
     ):
         assert part in text
+
+
+@each(("tried_on", "is_tried"), [(None, True), (("free",), False), (("torqued",), True)])
+def test_a_new_method_is_tried_unless_its_record_says_otherwise(tried_on, is_tried, monkeypatch):
+    new = replace(fa.METHODS["rk8"], name="new", tried_on=tried_on)
+    known, asked = methods._defined_in, []
+    monkeypatch.setitem(methods._FILES, "new", "new")
+    monkeypatch.setattr(
+        methods, "_defined_in", lambda file: {"new": new} if file == "new" else known(file)
+    )
+
+    def stop(scene, names, *others):
+        asked.extend(names)
+        raise StopIteration
+
+    monkeypatch.setattr(advice, "cases_of", stop)
+    with pytest.raises(StopIteration):
+        fa.recommend(GRADIENT, Q0, W0, t_end=T_END, tol=1e-6)
+    usual = {"rk4", "rk8", "rk9", "gbs16", "strang2", "kahan_li8"}
+    assert set(asked) == (usual | {"new"} if is_tried else usual)
 
 
 def test_the_error_of_a_closed_form_is_estimated():
