@@ -132,7 +132,7 @@ SHARES = np.concatenate([np.linspace(0.5, 0.999, 16), [2.0]])  # of a limit: up 
 SMALLER = np.concatenate([np.geomspace(0.02, 0.5, 8), SHARES[:-1]])  # where an order can be seen
 
 
-def steps_of_cones(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint8]]:
+def steps_of_cones(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint16]]:
     """Error of a step, rad a rad turned, and status at shares of the limit, (K, M) each."""
     theta, a = np.meshgrid(shares * case.record.limit(case.representation), CONES, indexing="ij")
     frequency = (theta / (2.0 * np.sin(0.5 * a))).ravel()
@@ -143,7 +143,7 @@ def steps_of_cones(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[n
     return error.reshape(theta.shape), got.status.reshape(theta.shape)
 
 
-def steps_of_bodies(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint8]]:
+def steps_of_bodies(case: Case, shares: Array = SHARES) -> tuple[Array, NDArray[np.uint16]]:
     """The same of free bodies that can exist, in many directions."""
     limits = shares * case.record.limit(case.representation, body=True)
     inertia, w0 = [], []
@@ -194,7 +194,7 @@ def number(x: float) -> str:
     return "none" if math.isinf(x) else f"{x:.3g}"
 
 
-def told_by(status: NDArray[np.uint8]) -> str:
+def told_by(status: NDArray[np.uint16]) -> str:
     """The flags that all of the bodies carry one of."""
     names = [f.name or "" for f in fa.Status if f and (status & f).any()]
     return ", ".join(names) + ("" if status.all() else " (not all)")

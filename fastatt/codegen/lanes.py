@@ -53,8 +53,8 @@ class LaneFormula(NamedTuple):
     """A formula: its graph, the places of its inputs by name, and those of its results.
 
     It works on as many lanes of the rows as the function's shape says, or on ``lanes``; one with
-    ``directions``, for which it uses the lanes of vectors, on single ones. The result number
-    ``largest`` replaces the previous value if it is larger.
+    ``directions``, for which it uses the lanes of vectors, on single ones. A result
+    from the number ``largest`` on replaces the previous value if it is larger.
     """
 
     graph: Flat
@@ -145,7 +145,7 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
     for i, (x, (value, has_lanes)) in enumerate(zip(formula.results, values, strict=True)):
         kept = code.cast(program.arrays[x.array], value)
         kept = kept if has_lanes else code.splat(kept, lanes)
-        if i == formula.largest:
+        if formula.largest is not None and i >= formula.largest:
             kept = raised(code, row(x), kept)
         code.store_vector(*place(x), kept)
 

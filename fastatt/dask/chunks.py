@@ -17,6 +17,7 @@ from dask.highlevelgraph import HighLevelGraph
 
 from fastatt import checks, rounding
 from fastatt.engine.marks import Event
+from fastatt.engine.status import FLAGS
 from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import chosen
 from fastatt.propagation.event import events_of
@@ -227,7 +228,7 @@ def propagate(
     ]
     tails = {"q": 4, "w": 3, **scene.carried(position=r0 is not None)}
     arrays: Any = {name: ((t.size,), (k,), precision) for name, k in tails.items()}
-    arrays["status"] = (), (), np.uint8
+    arrays["status"] = (), (), FLAGS
     if checked_events:
         arrays["event_times"] = (), (len(checked_events),), np.float64
     return LazyTrajectory(t, record.name, [*zip(runs, sizes, strict=True)], arrays)

@@ -14,7 +14,7 @@ from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine.marks import Event, going_on, look
-from fastatt.engine.status import DIAGNOSTICS, SAVED, flags, larger, relative_change
+from fastatt.engine.status import DIAGNOSTICS, OF_SAVES, OF_STEPS, Save, Step, flags, larger
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
@@ -41,7 +41,7 @@ class Job:
 
     Inputs of formulas are named ("x", i) for the stepped variables, ("p", i) for parameters,
     ("e", i) for numbers that the method prepared, ("c", i) for constants of a body,
-    ("invariants", i), ("y", i) for initial values, ("largest", i) for diagnostics and ("limit", i)
+    ("invariants", i), ("y", i) for initial values, (name, 0) for each diagnostic and ("limit", i)
     for their bounds, ("t",), ("h",), ("k",), ("edge",) and ("since",); those of events are in
     ``engine.marks``.
     """
@@ -105,8 +105,9 @@ class Job:
     def _form(self, small_angle: bool) -> Flat:
         scope = self.scope(small_angle=small_angle)
         times = scope.time(), scope.number("h"), scope.number("k")
-        x, z = scope.step(*times, scope.state(), scope.prepared())
-        flat = scope.finished(x=x, angle=(z,))
+        x, square = scope.step(*times, scope.state(), scope.prepared())
+        step = Step(square)
+        flat = scope.finished(x=x, **{of.name: (of.formula(step),) for of in OF_STEPS})
         if self.shared:
             return flat
         return self._constants.without(flat, more=small_angle)
@@ -143,8 +144,8 @@ class Job:
         e = scope.prepare(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
         return scope.finished(
-            x=stepped, e=e, invariants=scope.monitored(h, x), angle=(0.0,),
-            largest=(0.0,) * len(SAVED), status=(0.0,),
+            x=stepped, e=e, invariants=scope.monitored(h, x),
+            **{of.name: (0.0,) for of in DIAGNOSTICS}, status=(0.0,),
         )  # fmt: skip
 
     @cached_property
@@ -152,24 +153,27 @@ class Job:
         """Values of a trajectory with the norm error; the largest diagnostics so far."""
         scope = self.scope()
         y, norm_error = scope.output(scope.left_now())
-        before = scope.inputs("invariants", self.invariants)
-        change = relative_change(before, scope.motion.invariants(scope.left_now()))
-        largest = scope.inputs("largest", len(SAVED))
-        new = [larger(x, abs(y)) for x, y in zip(largest, (norm_error, change), strict=True)]
-        if any(event.terminal for event in self.events):
-            goes_on = going_on(scope)
-            new = [choose(goes_on, x, y) for x, y in zip(new, largest, strict=True)]
-        return scope.finished(io=(*y, norm_error), largest=new)
+        begun = scope.inputs("invariants", self.invariants)
+        save = Save(norm_error, begun, scope.motion.invariants(scope.left_now()))
+        goes_on = going_on(scope) if any(event.terminal for event in self.events) else None
+        largest = {}
+        for of in OF_SAVES:
+            (before,) = scope.inputs(of.name, 1)
+            new = larger(before, of.formula(save))
+            largest[of.name] = (new if goes_on is None else choose(goes_on, new, before),)
+        return scope.finished(io=(*y, norm_error), **largest)
 
     @cached_property
     def status(self) -> Flat:
         """The flags of a body, from its state and its diagnostics."""
         scope = self.scope()
-        limits = scope.graph.inputs("double", "limit", len(DIAGNOSTICS))
-        values = (*scope.inputs("angle", 1), *scope.inputs("largest", len(SAVED)))
+        names = [of.name for of in DIAGNOSTICS]
+        limits = scope.graph.inputs("double", "limit", len(names))
+        values = {name: scope.inputs(name, 1)[0] for name in names}
+        bounds = dict(zip(names, limits, strict=True))
         iterates = self.method.iterates
-        found = flags(scope.state(), values, limits, self.attitude, iterates=iterates)
-        return scope.finished(status=(found,))
+        status = flags(scope.state(), values, bounds, self.attitude, iterates=iterates)
+        return scope.finished(status=(status,))
 
     @property
     def regrids(self) -> bool:
@@ -211,12 +215,12 @@ class Job:
             return None
         scope = self.scope()
         x, n = scope.state(), self.attitude.size
-        (largest,) = scope.inputs("largest", 1)
+        (largest,) = scope.inputs("norm", 1)
         restore = self.attitude.restore
         a, d = (x[:n], 0.0) if restore is None else restore(x[:n])
         removed = self.attitude.compensated
         lost = largest + abs(d) if removed else larger(largest, abs(d))
-        return scope.finished(x=(*a, *x[n:]), largest=(lost,))
+        return scope.finished(x=(*a, *x[n:]), norm=(lost,))
 
     @cached_property
     def look(self) -> Flat:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.engine.status import is_number
+from fastatt.engine.status import OF_STEPS, is_number
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
@@ -64,13 +64,13 @@ def groups(job: Job) -> dict[str, int]:
     The state before the last step, and before the marked step of each event, with what the method
     prepared; of each event the values after the last two steps, or at both ends of the marked step;
     the step up to which marks are ignored and the marked step, both counted from the end of the
-    piece, NaN if there are none; 1 if a value was not finite; the largest angle before the last
-    step; values in the middle.
+    piece, NaN if there are none; 1 if a value was not finite; the largest diagnostics before the
+    last step; values in the middle.
     """
     n = len(job.events)
     return {
         "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
-        "after": n, "skip": n, "mark": n, "lost": n, "held": int(n > 0), "middle": n,
+        "after": n, "skip": n, "mark": n, "lost": n, "held": len(OF_STEPS) * (n > 0), "middle": n,
     }  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def after_step(scope: Scope) -> Flat:
     """
     events, n = scope.job.events, scope.job.size
     x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
-    (angle,), (held,) = scope.inputs("angle", 1), scope.inputs("held", 1)
+    held = scope.inputs("held", len(OF_STEPS))
     step = CLASSES[scope.precision](scope.graph.input("double", "step"))
     marked = scope.inputs("marked", (n + len(e)) * len(events))
     goes_on, stays = going_on(scope), [*x]
@@ -162,9 +162,11 @@ def after_step(scope: Scope) -> Flat:
         if event.terminal:
             is_marked = either(has_mark, is_new)
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
-    most = (choose(goes_on, angle, held),)
+    largest = {of.name: scope.inputs(of.name, 1)[0] for of in OF_STEPS}
+    most = [choose(goes_on, x, y) for x, y in zip(largest.values(), held, strict=True)]
+    each = {name: (x,) for name, x in zip(largest, most, strict=True)}
     nothing = (math.nan,) * len(events)
-    return scope.finished(x=stays, last=stays, **new, held=most, middle=nothing, angle=most)
+    return scope.finished(x=stays, last=stays, **new, held=most, middle=nothing, **each)
 
 
 def crosses(a: Any, b: Any, direction: int) -> Any:

@@ -22,7 +22,7 @@ from fastatt.codegen.processor import processor
 from fastatt.engine import marks
 from fastatt.engine.job import Job
 from fastatt.engine.machine import PROGRAM, TIME, Tile
-from fastatt.engine.status import DIAGNOSTICS, SAVED
+from fastatt.engine.status import DIAGNOSTICS
 from fastatt.engine.tape import Action
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
@@ -60,7 +60,7 @@ class Program(TwoForms):
         #: what a body takes with it from one tape to the next
         self.kept = {
             "x": job.size, "e": job.prepared, "invariants": job.invariants, **event_groups,
-            "angle": 1, "largest": len(SAVED), "status": 1,
+            **{of.name: 1 for of in DIAGNOSTICS}, "status": 1,
         }  # fmt: skip
         #: which of these belong to events
         self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
@@ -106,7 +106,7 @@ class Program(TwoForms):
         rows = self._rows(self.rows["total"], dtype)
         wide = self._rows(self.wide["total"], DTYPES["double"])
         tile = Tile(rows, wide, numbers[: self.numbers["limit"]].view(TIME))
-        before, fork = (self._rows(self.rows["largest"], dtype) for _ in range(2))
+        before, fork = (self._rows(self.rows["angle"] + 1, dtype) for _ in range(2))
         return tile, numbers, before, fork
 
     def _rows(self, n: int, dtype: Any) -> Array:

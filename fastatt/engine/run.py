@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.program import Program
-from fastatt.engine.status import Status
+from fastatt.engine.status import FLAGS, Status
 from fastatt.engine.tape import BLOCK, CALLING_LENGTH, Action, Piece, Steps, Tape
 from fastatt.scene.models import Packed
 from fastatt.threads import in_threads
@@ -36,7 +36,7 @@ class Results(NamedTuple):
     """
 
     saves: Array
-    status: NDArray[np.uint8]
+    status: NDArray[FLAGS]
     event_times: NDArray[np.float64]
 
     @classmethod
@@ -45,7 +45,7 @@ class Results(NamedTuple):
         bodies, values = shape
         return cls(
             np.empty((saves, bodies, values + 1), dtype),
-            np.empty(bodies, np.uint8),
+            np.empty(bodies, FLAGS),
             np.full((bodies, events), np.nan),
         )
 
@@ -75,7 +75,7 @@ class Setup:
 
     def __init__(
         self, program: Program, packed: Packed, limits: Sequence[float],
-        params: NDArray[np.float64], flags: NDArray[np.uint8],
+        params: NDArray[np.float64], flags: NDArray[FLAGS],
     ) -> None:  # fmt: skip
         self.program, self.params, self.flags = program, params, flags
         self.tables = packed.tables
@@ -170,7 +170,7 @@ class Run:
         self._read_flags()
 
     def _read_flags(self) -> None:
-        self.results.status[:] = self.states[:, -1].astype(np.uint8) | self._flags
+        self.results.status[:] = self.states[:, -1].astype(FLAGS) | self._flags
 
     def perform(
         self, tape: Tape, rows: Any = slice(None), first: int = 0, last: int | None = None

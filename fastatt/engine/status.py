@@ -1,8 +1,12 @@
-"""The status of each body, and the diagnostics from which most of its flags follow."""
+"""The status of each body, and the diagnostics from which its flags follow.
+
+Two flags have none: that of a state that is not finite, and that of a run without an end.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from enum import IntFlag
 from functools import reduce
 from typing import Any, NamedTuple
@@ -10,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt import rounding
 from fastatt.tracing.formulas import Vector, as_like
 from fastatt.tracing.graph import Double, apply, both, choose, either, negated
 
@@ -61,44 +66,73 @@ class Status(IntFlag):
     UNFINISHED = 64  #: the run was interrupted before its end
 
 
-def count_flags(status: NDArray[np.uint8]) -> dict[str, int]:
+#: the type of the flags in arrays, with room for more
+FLAGS = np.uint16
+
+
+def count_flags(status: NDArray[FLAGS]) -> dict[str, int]:
     """The name of each flag that bodies have, with their number."""
     counts = {flag.name or "": int(np.count_nonzero(status & flag)) for flag in Status if flag}
     return {name: count for name, count in counts.items() if count}
 
 
-class Diagnostic(NamedTuple):
-    """A quantity of which a run keeps each body's largest value, and the flag beyond its bound.
+class Step(NamedTuple):
+    """What the diagnostics of a step are computed from."""
 
-    The first is the square of a step's rotation angle, which the step computes. The others are
-    those of ``Formulas.save``. ``infinite`` is the flag of an infinite value of a method that
-    iterates; ``at_poles`` is the flag for coordinates with poles, if it is another one.
+    #: the square of its rotation angle
+    square: Any
+
+
+class Save(NamedTuple):
+    """What the diagnostics of a save are computed from."""
+
+    norm_error: Any
+    #: the invariants at the start and now
+    begun: Vector
+    now: Vector
+
+
+class Bounded(NamedTuple):
+    """What bounds depend on: the limit of a step's rotation angle, rad, and the state."""
+
+    turn: float
+    attitude: Any
+    dtype: Any
+
+
+class Diagnostic(NamedTuple):
+    """A number of which a run keeps each body's largest value, and the flag beyond its bound.
+
+    The rows of the program, its formulas, the flags of the two ways of running, and the layout of
+    the file of a run's end follow from these records.
     """
 
-    exceeded: Status
-    infinite: Status
+    name: str
+    flag: Status
+    #: its value from a ``Step``, or from a ``Save``
+    formula: Callable[[Any], Any]
+    bound: Callable[[Bounded], float]
+    #: which bodies of a ``ClosedRun`` have the flag; None if its solution can't have it
+    closed: Callable[[Any], NDArray[np.bool_]] | None
+    #: whether steps compute it
+    of_steps: bool = False
+    #: whether the square of what the bound holds for is kept
+    is_square: bool = False
+    #: the flag of an infinite value of a method that iterates
+    infinite: Status | None = None
+    #: the flag for coordinates with poles
     at_poles: Status | None = None
 
-    def flag(self, attitude: Any) -> Status:
+    def flag_of(self, attitude: Any) -> Status:
         """The flag in a representation."""
-        return self.at_poles if self.at_poles and attitude.has_poles else self.exceeded
+        return self.at_poles if self.at_poles and attitude.has_poles else self.flag
 
 
-#: of the angle, the norm and the invariants, in the order of the rows of a run's diagnostics
-DIAGNOSTICS = (
-    Diagnostic(Status.STEP_TOO_LARGE, Status.NOT_CONVERGED, Status.SINGULAR),
-    Diagnostic(Status.NORM_LOST, Status.NORM_LOST),
-    Diagnostic(Status.INVARIANT, Status.INVARIANT),
-)
-#: those that are evaluated at the saves
-SAVED = DIAGNOSTICS[1:]
-
-
-def bounds(limit: float, attitude: Any, dtype: Any) -> tuple[float, ...]:
-    """The bounds of the diagnostics; the ``limit`` is that of a step's rotation angle, rad."""
-    # at 1e-3 RK4's attitude is wrong by more than that
-    norm = 1e-3 if dtype == np.float64 else 1e-2
-    return limit, math.inf if attitude.restore is None else norm, 1e-2
+def norm_bound(run: Bounded) -> float:
+    """The largest norm error; at 1e-3 the attitude of RK4 is wrong by more than that."""
+    if run.attitude.restore is None:
+        return math.inf
+    return 1e-3 if run.dtype == np.float64 else 1e-2
 
 
 def relative_change(a: Vector, b: Vector) -> Any:
@@ -125,19 +159,39 @@ def larger(before: Any, value: Any) -> Any:
     return choose(either(before >= value, negated(is_number(before))), before, value)
 
 
-def flags(x: Vector, values: Vector, limits: Vector, attitude: Any, *, iterates: bool) -> Any:
-    """The flags of a body from its state, its largest diagnostics, and their limits.
+#: in the order of their rows; the angle is the last one of steps, as ``engine.machine`` has it
+DIAGNOSTICS = (
+    Diagnostic(
+        "angle", Status.STEP_TOO_LARGE, lambda step: step.square, lambda run: run.turn,
+        lambda run: run.angles > rounding.most_turned(run.dtype), of_steps=True, is_square=True,
+        infinite=Status.NOT_CONVERGED, at_poles=Status.SINGULAR,
+    ),
+    Diagnostic("norm", Status.NORM_LOST, lambda save: abs(save.norm_error), norm_bound, None),
+    Diagnostic(
+        "drift", Status.INVARIANT, lambda save: relative_change(save.begun, save.now),
+        lambda run: 1e-2, None,
+    ),
+)  # fmt: skip
+OF_STEPS = tuple(x for x in DIAGNOSTICS if x.of_steps)
+OF_SAVES = tuple(x for x in DIAGNOSTICS if not x.of_steps)
 
-    The first of the diagnostics is the square of an angle.
-    """
+
+def flags(
+    x: Vector, values: Mapping[str, Any], limits: Mapping[str, Any], attitude: Any, *,
+    iterates: bool,
+) -> Any:  # fmt: skip
+    """The flags of a body from its state, its largest diagnostics, and their limits, by name."""
     finite = reduce(both, [abs(each) < math.inf for each in x])
     total = choose(finite, 0.0, float(Status.NON_FINITE))
-    for k, (of, value, limit) in enumerate(zip(DIAGNOSTICS, values, limits, strict=True)):
-        exceeded, most = float(of.flag(attitude)), Double(value)
-        infinite = float(of.infinite) if iterates else exceeded
-        flag = choose((apply("sqrt", most) if k == 0 else most) <= limit, 0.0, exceeded)
+    for of in DIAGNOSTICS:
+        value, exceeded = values[of.name], float(of.flag_of(attitude))
+        most, infinite = Double(value), exceeded
+        if iterates and of.infinite is not None:
+            infinite = float(of.infinite)
+        size = apply("sqrt", most) if of.is_square else most
+        flag = choose(size <= limits[of.name], 0.0, exceeded)
         # a NaN angle of a state that is lost tells nothing of the step
-        flag = choose(finite if k else either(finite, is_number(most)), flag, 0.0)
+        flag = choose(either(finite, is_number(most)) if of.of_steps else finite, flag, 0.0)
         if infinite != exceeded:
             flag = choose(value == math.inf, choose(finite, infinite, 0.0), flag)
         total = total + flag

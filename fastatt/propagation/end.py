@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt.engine.run import Run
+from fastatt.engine.status import DIAGNOSTICS
 from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
-_FORMAT = 13
+# the layout of the arrays
+_FORMAT = f"14 {' '.join(of.name for of in DIAGNOSTICS)}"
 # s between two checkpoints
 _WRITTEN = 10.0
 # what the options of a run are

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fastatt import rounding
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
-from fastatt.engine.status import Status, count_flags
+from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.initial import Initial
@@ -160,7 +160,7 @@ def _step_of(h: Any, measured: NDArray[Any]) -> float:
     return abs(float(np.broadcast_to(h, measured.shape)[measured.argmax()]))
 
 
-def warn_of_status(status: NDArray[np.uint8], *, is_warned: bool) -> None:
+def warn_of_status(status: NDArray[FLAGS], *, is_warned: bool) -> None:
     """Warn, once, of the bodies with a flag, unless the steps ``is_warned`` of are the reason."""
     flagged = np.flatnonzero(status)
     of_steps = Status.STEP_TOO_LARGE | Status.NON_FINITE

@@ -24,7 +24,7 @@ from fastatt.engine.marks import Event
 from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.run_with_events import RunWithEvents
-from fastatt.engine.status import Status, bounds
+from fastatt.engine.status import DIAGNOSTICS, FLAGS, Bounded, Status
 from fastatt.engine.tape import BLOCK, CALLING_LENGTH, UNBROKEN, Piece, Steps
 from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of, divisions_of
@@ -179,10 +179,11 @@ class Plan:
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
         # parameters beyond the precision's range, and damping beyond the method's limit
         lost = (np.abs(params) > np.finfo(self.dtype).max).any(axis=-1)
-        flags = lost * np.uint8(Status.NON_FINITE)
-        flags = flags | self.limits.too_damped * np.uint8(Status.STEP_TOO_LARGE)
-        limits = bounds(self.limits.turn, self.attitude, self.dtype)
-        flags = np.ascontiguousarray(flags, dtype=np.uint8)
+        flags = lost * FLAGS(Status.NON_FINITE)
+        flags = flags | self.limits.too_damped * FLAGS(Status.STEP_TOO_LARGE)
+        bounded = Bounded(self.limits.turn, self.attitude, self.dtype)
+        limits = [of.bound(bounded) for of in DIAGNOSTICS]
+        flags = np.ascontiguousarray(flags, dtype=FLAGS)
         return Setup(self.program, self.packed, limits, params, flags)
 
     def run(

@@ -15,7 +15,7 @@ from fastatt import arrays
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.rows import rows
-from fastatt.engine.status import Status, count_flags
+from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import Divisions
 from fastatt.propagation.end import NO_END, End
@@ -42,7 +42,7 @@ class Trajectory:
     ----------
     t : ndarray of shape (S,)
         Times of the saves, s.
-    status : ndarray of uint8 of shape (N,)
+    status : ndarray of uint16 of shape (N,)
         A :class:`Status` for each body; 0 if nothing went wrong.
     norm_error : ndarray of shape (S, N)
         The norm error of the propagated state before it was renormalised: |q| − 1 for
@@ -62,13 +62,13 @@ class Trajectory:
     >>> body = fa.Scene(inertia=(2.0, 1.0, 2 / 3))
     >>> run = fa.propagate(body, [1, 0, 0, 0], [0.1, 0.3, -0.2], dt=0.1, n_steps=100, save_every=50)
     >>> run.t, run.q.shape, run.status
-    (array([ 0.,  5., 10.]), (3, 4), array([0], dtype=uint8))
+    (array([ 0.,  5., 10.]), (3, 4), array([0], dtype=uint16))
     """
 
     t: NDArray[np.float64]
     state: NDArray[Any]
     norm_error: NDArray[Any]
-    status: NDArray[np.uint8]
+    status: NDArray[FLAGS]
     #: the step size, s, or per-body step sizes (N,)
     dt: Any
     one_body: bool

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from numba import njit
 from numpy.testing import assert_array_equal
 
 import fastatt as fa
+from fastatt.engine.status import DIAGNOSTICS, Status
+from fastatt.propagation import end
 from fastatt.scene.torque_record import fastest_decay
 
 FREE = fa.Scene(inertia=(2.0, 1.0, 2.0 / 3.0))
@@ -28,6 +31,43 @@ def test_codes_are_those_that_are_documented():
         "NON_FINITE": 1, "STEP_TOO_LARGE": 2, "INVARIANT": 4, "SINGULAR": 8, "NOT_CONVERGED": 16,
         "NORM_LOST": 32, "UNFINISHED": 64,
     }  # fmt: skip
+
+
+def test_the_page_and_the_class_list_the_flags():
+    flags = [(flag.name, int(flag)) for flag in fa.Status if flag]
+    page = Path(fa.__file__).parent / "docs/explanations/status.md"
+    rows = re.findall(
+        r"^\| `([A-Z_]+)` \| (\d+) \|", page.read_text(encoding="utf-8"), re.MULTILINE
+    )
+    listed = re.findall(r"^ +([A-Z_]+) : Status\n +(\d+):", fa.Status.__doc__, re.MULTILINE)
+    assert [(name, int(value)) for name, value in rows] == flags
+    assert [(name, int(value)) for name, value in listed] == [("OK", 0), *flags]
+
+
+def spun(rate=3.0, method="rk4"):
+    """A body about an axis near the third, by steps of 1 s."""
+    scene = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    w0 = [0.01 * rate, 0.0, rate]
+    return fa.propagate(scene, [1, 0, 0, 0], w0, dt=1.0, n_steps=10, method=method)
+
+
+#: for each diagnostic a run that has its flag
+EXAMPLES = {"angle": spun, "norm": spun, "drift": lambda: spun(3e14, "kahan_li8")}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("of", DIAGNOSTICS, ids=lambda of: of.name)
+def test_each_diagnostic_sets_its_flag(of):
+    """Also of a closed form, unless its record says that this can't be."""
+    assert int(EXAMPLES[of.name]().status[0]) & of.flag
+    assert of.closed is None or int(spun(1e20, "exact").status[0]) & of.flag
+
+
+def test_each_flag_has_one_diagnostic():
+    """All but those of the state and of the end; the file of a run's end says which there are."""
+    flags = [x for of in DIAGNOSTICS for x in (of.flag, of.infinite, of.at_poles) if x]
+    assert sorted([*flags, Status.NON_FINITE, Status.UNFINISHED]) == [x for x in Status if x]
+    assert end._FORMAT.split()[1:] == [of.name for of in DIAGNOSTICS]
 
 
 @njit

@@ -266,7 +266,7 @@ class Swing(NamedTuple):
     """Error of each body, status, and error that a step's may become: a number for each of its."""
 
     error: Array
-    status: NDArray[np.uint8]
+    status: NDArray[np.uint16]
     frequency: Array
     turn: Array
 

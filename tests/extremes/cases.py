@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
 
     error: Array
     allowed: Array
-    status: NDArray[np.uint8]
+    status: NDArray[np.uint16]
 
     @property
     def wrong(self) -> NDArray[np.bool_]:

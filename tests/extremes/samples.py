@@ -79,7 +79,7 @@ def sampled(theta: float, a: float, *, increments: bool) -> Callable[[Case], Out
         step = share(known, case.method, order, np.array(theta)) if a or iterated else 0.0
         allowed = n * theta * step + rounding(case, 12 * n, n * max(theta, frequency))
         error = np.max(angle(q, truth))
-        status = np.uint8(fa.Status.STEP_TOO_LARGE if said else 0)
+        status = np.uint16(fa.Status.STEP_TOO_LARGE if said else 0)
         return Outcome(error[None], allowed[None], status[None])
 
     return run

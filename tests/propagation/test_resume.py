@@ -142,13 +142,13 @@ def test_a_file_of_another_format_is_refused(tmp_path):
     with np.load(path) as file:
         kept = dict(file)
     about = json.loads(str(kept["header"]))
-    for number in (about["format"] - 1, about["format"], about["format"] + 1):
+    for number in (13, about["format"], about["format"] + " other"):
         with path.open("wb") as file:
             np.savez(file, **{**kept, "header": np.array(json.dumps({**about, "format": number}))})
         if number == about["format"]:
             fa.resume(SCENES["free"], path, n_steps=1)
             continue
-        with pytest.raises(ValueError, match=r"has the format \d+ of another version"):
+        with pytest.raises(ValueError, match=r"has the format .* of another version"):
             fa.resume(SCENES["free"], path, n_steps=1)
 
 
