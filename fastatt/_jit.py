@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import math
+import operator
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,12 +20,14 @@ from typing import Any
 from numba import TypingError, config, njit, types
 from numba.extending import register_jitable
 
-from fastatt._numba import LOOP, compiled, keep, moved
+from fastatt._numba import LOOP, compiled, keep, moved, replacing
 from fastatt._store import kept
 
 _COMMON: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _INLINED: dict[str, Any] = {**_COMMON, "fastmath": {"contract", "nsz"}, "forceinline": True}
 _LOOP: dict[str, Any] = {**_COMMON, **LOOP}
+#: rounds of the loops of a function of a user
+MOST_ROUNDS = 1_000_000
 
 
 if config.DISABLE_JIT:
@@ -125,8 +129,40 @@ def plain(function: Any) -> Callable[..., Any]:
 
 
 def checked(function: Callable[..., Any]) -> Any:
-    """Compile a user-defined function with checks of indices and Python's division."""
-    return njit(boundscheck=True, error_model="python", nogil=True)(function)
+    """Compile a user-defined function with checks of indices and Python's division.
+
+    Whole numbers beyond 64 bits and loops of more than ``MOST_ROUNDS`` rounds raise an error.
+    """
+    options = {"boundscheck": True, "error_model": "python", "nogil": True}
+    return njit(pipeline_class=_checking(), **options)(function)
+
+
+@functools.cache
+def _checking() -> type:
+    def exact(whole: Any, of_floats: Any) -> Any:
+        @njit
+        def operate(a, b):  # type: ignore[no-untyped-def]
+            result = whole(a, b)
+            if not abs(float(result) - of_floats(float(a), float(b))) < 1e18:
+                raise OverflowError
+            return result
+
+        return operate
+
+    @njit
+    def counted(rounds):  # type: ignore[no-untyped-def]
+        if rounds == MOST_ROUNDS:
+            raise OverflowError
+        return rounds + 1
+
+    of_floats = {
+        **{op: op for op in (operator.add, operator.sub, operator.mul)},
+        operator.pow: njit(lambda a, b: a**b if b >= 0.0 else math.inf),
+        operator.lshift: njit(lambda a, b: a * 2.0**b),
+    }
+    found = {op: exact(op, x) for op, x in of_floats.items()}
+    in_place = {getattr(operator, f"i{op.__name__}"): x for op, x in found.items()}
+    return replacing(found | in_place, counted)
 
 
 def helper(function: Any) -> Any:

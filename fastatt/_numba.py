@@ -10,7 +10,7 @@ import contextlib
 import functools
 import itertools
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -19,8 +19,14 @@ import llvmlite
 import numba
 from llvmlite import binding, ir
 from llvmlite.binding import newpassmanagers as passes
-from numba import config, njit, types
+from numba import config, njit, typeof, types
+from numba.core import ir as numba_ir
+from numba.core.analysis import compute_cfg_from_blocks
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.imputils import lower_builtin, lower_constant
+from numba.core.ir_utils import mk_unique_var
+from numba.core.typed_passes import PreLowerStripPhis
 from numba.core.typing.templates import signature
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
@@ -195,6 +201,65 @@ class FormulaType(types.Callable, types.Opaque):  # type: ignore[misc]
 @lower_constant(FormulaType)  # type: ignore[untyped-decorator]
 def _constant(context: Any, builder: Any, ty: Any, value: Any) -> Any:
     return NOTHING
+
+
+# other functions in place of some operations
+
+
+def replacing(operations: Mapping[Any, Any], counted: Any) -> type:
+    """A compiler, as a ``pipeline_class``, which calls functions instead of some operations.
+
+    ``operations`` are those of whole numbers, by functions of ``operator``, and ``counted`` gives
+    the number of rounds of a function's loops after the next one.
+    """
+
+    @register_pass(mutates_CFG=False, analysis_only=False)
+    class Replaced(FunctionPass):  # type: ignore[misc]
+        _name = "operations of whole numbers and loops"
+
+        def __init__(self) -> None:
+            super().__init__()
+
+        def run_pass(self, state: Any) -> bool:
+            blocks = state.func_ir.blocks
+            for block in blocks.values():
+                for x in [*block.body]:
+                    e: Any = getattr(x, "value", None)
+                    is_binary = isinstance(e, numba_ir.Expr) and e.op.endswith("binop")
+                    of = state.calltypes[e].args if is_binary and e.fn in operations else [None]
+                    if all(isinstance(kind, types.Integer) for kind in of):
+                        function, at = operations[e.fn], block.body.index(x)
+                        x.value = _call(state, block, at, function, e.lhs, e.rhs)
+            first = blocks[min(blocks)]
+            rounds = numba_ir.Var(first.scope, mk_unique_var("rounds"), first.loc)
+            state.typemap[rounds.name] = types.int64
+            for loop in compute_cfg_from_blocks(blocks).loops().values():
+                block = blocks[loop.header]
+                call = _call(state, block, 0, counted, rounds)
+                block.body.insert(1, numba_ir.Assign(call, rounds, block.loc))
+            none = numba_ir.Const(0, first.loc)
+            first.body.insert(0, numba_ir.Assign(none, rounds, first.loc))
+            return True
+
+    class Replacing(CompilerBase):  # type: ignore[misc]
+        def define_pipelines(self) -> list[Any]:
+            passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            passes.add_pass_after(Replaced, PreLowerStripPhis)
+            passes.finalize()
+            return [passes]
+
+    return Replacing
+
+
+def _call(state: Any, block: Any, at: int, function: Any, *args: Any) -> Any:
+    """A call of a jitted function, which is read before the statement ``at`` of a block."""
+    name, loc, kind = mk_unique_var("function"), block.loc, typeof(function)
+    called = numba_ir.Var(block.scope, name, loc)
+    block.body.insert(at, numba_ir.Assign(numba_ir.Global(name, function, loc), called, loc))
+    call, given = numba_ir.Expr.call(called, args, (), loc), [state.typemap[x.name] for x in args]
+    state.typemap[name] = kind
+    state.calltypes[call] = kind.get_call_type(state.typingctx, given, {})
+    return call
 
 
 # the check

@@ -1,7 +1,7 @@
 """Functions of users that are not followed: frozen, compiled by Numba, and called by address.
 
-Indices and division are checked, and an error is NaN. ``math`` in a called function has the
-library's sines, which vectorise and do not depend on the platform.
+Indices, division, whole numbers and rounds of loops are checked, and an error is NaN. ``math`` in a
+called function has the library's sines, which vectorise and do not depend on the platform.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import marshal
 import math
-import operator
 import re
 import types as python
 from collections.abc import Callable
@@ -66,45 +65,32 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
     return "function", marshal.dumps(code, 2), tuple(values), tuple(cells), defaults
 
 
-class _Maker:
-    """Compiles what ``portable`` gives."""
-
-    def __init__(self) -> None:
-        self.dispatchers = list[Any]()
-
-    def __call__(self, value: Any) -> Any:
-        if not isinstance(value, tuple):
-            return value
-        what, *rest = value
-        return getattr(self, f"_{what}")(*rest)
-
-    def _tuple(self, *values: Any) -> Any:
-        return tuple(map(self, values))
-
-    def _array(self, shape: Any, dtype: str, data: bytes) -> Any:
-        found = np.frombuffer(data, dtype).reshape(shape)
-        return found if shape else found[()]
-
-    def _module(self, name: str, *attribute: str) -> Any:
-        found: Any = _mathematics() if name == "math" else import_module(name)
-        return getattr(found, attribute[0]) if attribute else found
-
-    def _function(self, code: bytes, values: Any, cells: Any, defaults: Any) -> Any:
-        read = marshal.loads(code)
-        scope = {"int": _whole(int), "__builtins__": __builtins__}
-        scope |= {k: self(x) for k, x in values}
-        inner = tuple(python.CellType(self(x)) for x in cells)
-        made = python.FunctionType(read, scope, read.co_name, self(defaults), inner)
-        self.dispatchers.append(checked(made))
-        return self.dispatchers[-1]
+def _made(value: Any) -> Any:
+    """What ``portable`` gives, with compiled functions."""
+    match value:
+        case ("tuple", *values):
+            return tuple(map(_made, values))
+        case ("array", shape, dtype, data):
+            found = np.frombuffer(data, dtype).reshape(shape)
+            return found if shape else found[()]
+        case ("module", name, *attribute):
+            module: Any = _mathematics() if name == "math" else import_module(name)
+            return getattr(module, attribute[0]) if attribute else module
+        case ("function", code, values, cells, defaults):
+            read = marshal.loads(code)
+            scope = {"int": _whole(int), "round": _whole(round), "__builtins__": __builtins__}
+            scope |= {k: _made(x) for k, x in values}
+            inner = tuple(python.CellType(_made(x)) for x in cells)
+            return checked(python.FunctionType(read, scope, read.co_name, _made(defaults), inner))
+    return value
 
 
-def _whole(convert: Callable[[Any], Any]) -> Any:
+def _whole(convert: Callable[..., Any]) -> Any:
     @checked
-    def whole(x):  # type: ignore[no-untyped-def]
+    def whole(x, *digits):  # type: ignore[no-untyped-def]
         if not abs(x) < 9e18:
             raise ValueError
-        return convert(x)
+        return convert(x, *digits)
 
     return whole
 
@@ -126,23 +112,18 @@ def _mathematics() -> Any:
 
 def compiled(code: Any, user: UserFunction) -> Any:
     """A function compiled by Numba, which takes the addresses of its arguments and results."""
-    maker, pointer = _Maker(), types.CPointer(types.float64)
-    scope = {"inner": maker(code), "nan": math.nan}
+    pointer = types.CPointer(types.float64)
+    scope = {"inner": _made(code), "nan": math.nan}
     # one number may be in a tuple
     for is_number in (True, False) if user.results == 1 else (False,):
         exec(_wrapper(user, is_number=is_number), scope)
         try:
-            made = cfunc(types.void(pointer, pointer))(scope["entry"])
-            break
+            return cfunc(types.void(pointer, pointer))(scope["entry"])
         except Exception as error:  # noqa: BLE001  # Numba's traceback shows Numba's code
             place = getattr(error, "loc", None)
             at = "" if place is None else f" ({place.filename}:{place.line})"
             words = f"{_words_of(error)}{at}"
-    else:
-        raise TraceError(words)
-    for dispatcher in maker.dispatchers:
-        _refuse_powers(dispatcher)
-    return made
+    raise TraceError(words)
 
 
 def _wrapper(user: UserFunction, *, is_number: bool) -> str:
@@ -167,18 +148,6 @@ def _wrapper(user: UserFunction, *, is_number: bool) -> str:
         *(f"        made[{k}] = nan" for k in range(n)),
     ]
     return "\n".join(lines)
-
-
-def _refuse_powers(dispatcher: Any) -> None:
-    """Refuse whole numbers to whole powers, which have 64 bits in compiled code."""
-    for overload in dispatcher.overloads.values():
-        for x, of in overload.type_annotation.calltypes.items():
-            is_power = getattr(x, "_kws", {}).get("fn") in (operator.pow, operator.ipow)
-            if is_power and all(isinstance(t, types.Integer) for t in of.args):
-                raise TraceError(
-                    "a whole number to a whole power, of which compiled code has 64 bits "
-                    f"({x.loc.filename}:{x.loc.line})"
-                )
 
 
 def _words_of(error: Exception) -> str:

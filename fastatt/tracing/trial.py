@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt._jit import MOST_ROUNDS
 from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import Node, RefusedError, TraceError, operands
 from fastatt.tracing.operations import AT_ENDS, OPERATIONS
@@ -47,6 +49,12 @@ def points(given: Arguments, params: Numbers | None, span: Any = (0.0, 10.0)) ->
 
 def _unit(q: Numbers) -> Any:
     return q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-300)
+
+
+def larger(given: Arguments, usual: Numbers) -> Numbers:
+    """Arguments of sizes up to some thousands."""
+    x = many(Kept((), ()), given, usual)
+    return x[_USUAL : 5 * _USUAL][np.arange(4 * _USUAL) % 4 < 3]
 
 
 def many(kept: Kept, given: Arguments, usual: Numbers) -> Numbers:
@@ -159,6 +167,26 @@ def _sides(followed: Followed, values: Sequence[Any], n: int) -> dict[tuple[int,
     return found
 
 
+def ending(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, which raises an error after ``MOST_ROUNDS`` lines of Python."""
+
+    def call(*args: Any) -> Any:
+        lines, before = itertools.count(), sys.gettrace()
+
+        def count(*_: Any) -> Any:
+            if next(lines) == MOST_ROUNDS:
+                raise OverflowError
+            return count
+
+        sys.settrace(count)
+        try:
+            return function(*args)
+        finally:
+            sys.settrace(before)
+
+    return call
+
+
 @np.errstate(all="ignore")
 def agrees(point: Numbers, found: Numbers, in_python: Any) -> bool:
     """Whether a point was compared; raises ``TraceError`` for other results than Python's."""
@@ -181,7 +209,9 @@ def agrees(point: Numbers, found: Numbers, in_python: Any) -> bool:
         # rounding of numbers that nearly cancel, or a condition near its border
         if moved is None or not close(true, moved, 1e-3 * np.abs(true - found).max()):
             return False
-    raise TraceError("other values than in Python")
+    is_error = bool(np.isnan(found).all())
+    such_as = ", such as NaN for whole numbers beyond 64 bits" if is_error else ""
+    raise TraceError(f"other values than in Python{such_as}")
 
 
 def same(a: Numbers, b: Numbers) -> bool:

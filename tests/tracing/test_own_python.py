@@ -90,3 +90,81 @@ def test_a_scene_computes_what_the_users_function_does(function):
         return
     for point in POINTS:
         np.testing.assert_allclose(made.call(*point), function(*point), rtol=1e-12)
+
+
+# what Python has and machine code has not: whole numbers of any size, and Ctrl-C
+
+
+def factorial(n):
+    k = 1
+    for i in range(1, n + 1):
+        k *= i
+    return k
+
+
+def fibonacci(n):
+    a, b = 0, 1
+    for _ in range(n):
+        a, b = b, a + b
+    return a
+
+
+def below(n):
+    k = 0
+    for i in range(n):
+        k -= i**9
+    return k
+
+
+def shifted(n):
+    k = 1
+    for _ in range(n):
+        k = (k << 1) | 1
+    return k
+
+
+def drawn(n):
+    """No number beyond 64 bits."""
+    k = 1
+    for _ in range(n):
+        k = (k * 1103515245 + 12345) % 2**31
+    return k
+
+
+def inverse(n):
+    return 1000 * 2**-n
+
+
+def rounded(n):
+    return round(1e16 * n) + round(0.12345 * n, 3)
+
+
+@pytest.mark.parametrize(
+    "whole",
+    [factorial, fibonacci, below, shifted, drawn, inverse, rounded],
+    ids=lambda f: f.__name__,
+)
+def test_whole_numbers_are_pythons_or_nan(whole):
+    def torque(t, q, w, p):
+        return (whole(int(halved(t) + t)) % 1000003) * 1.0, 0.0, 0.0
+
+    try:
+        made = user_function(torque, "torque", 0)
+    except TypeError as error:
+        assert "other values than in Python" in str(error)  # noqa: PT017
+        return
+    assert not made.followed
+    few, many = made.call(2.0, *POINTS[0][1:])[0], made.call(1000.0, *POINTS[0][1:])[0]
+    assert few == torque(2.0, *POINTS[0][1:])[0]
+    assert np.isnan(many) or many == torque(1000.0, *POINTS[0][1:])[0]
+
+
+def test_a_loop_without_an_end_is_no_number():
+    def torque(t, q, w, p):
+        while t > 5.0:
+            t += 1.0
+        return t, 0.0, 0.0
+
+    made = user_function(torque, "torque", 0)
+    assert made.call(4.0, *POINTS[0][1:])[0] == 4.0
+    assert np.isnan(made.call(6.0, *POINTS[0][1:])).all()

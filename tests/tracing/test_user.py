@@ -228,12 +228,6 @@ def test_a_called_function_is_checked_as_python_is():
     assert np.isnan(made(0.5, 0.0, 1e16)[2])
 
 
-def test_whole_powers_of_whole_numbers_are_refused_where_they_are_called():
-    with pytest.raises(TypeError, match=r"a whole number to a whole power.*test_user.py:\d+\)"):
-        user_function(lambda t, p: (float(loop(t) ** 3), 0.0, 0.0), "rate", 0)
-    assert user_function(lambda t, p: (float(int(t) ** 3), 0.0, 0.0), "rate", 0).followed
-
-
 def test_jitted_functions_are_not_compiled_to_be_followed():
     @njit
     def inner(x):
