@@ -89,7 +89,7 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
         # the scene's ``params`` are the last parameters of the rotation
         params = of_rotation[len(of_rotation) - event.function.n_params :]
         # whether it takes velocity and position, not only time, attitude and rate
-        is_placed = len(event.function.form.before) - len(event.reads) > 4
+        is_placed = len(event.function.signature.before) - len(event.reads) > 4
         placed = (moved[:3], moved[3:]) if is_placed else ()
         read = scope.shown(t, x, event.reads)
         results.append(scope.called(event.function.call, t, x, *placed, *read, s, params))

@@ -12,10 +12,10 @@ from fastatt import checks, rounding
 from fastatt.engine.marks import Event
 from fastatt.scene.models import Packing, names_in, parameters, readings, shown_in
 from fastatt.scene.scene import Scene
-from fastatt.tracing.user import FORMS, UserFunction
+from fastatt.tracing.user import SIGNATURES, UserFunction
 
-#: the form in ``FORMS`` and whether it takes states, by the number of the function's arguments
-_FORMS = {
+#: the role in ``SIGNATURES`` and whether it takes states, by the number of the function's arguments
+_ROLES = {
     4: ("event", False),
     5: ("event", True),
     6: ("event at position", False),
@@ -44,7 +44,7 @@ def event(
         the scene's ``params``, which is empty if there are none. In a scene with states, ``g(t, q,
         w, s, p)`` takes all of them. If the position is propagated, ``g(t, q, w, v, r, p)`` and
         ``g(t, q, w, v, r, s, p)`` are accepted too, with the velocity along body axes, m/s, and the
-        position along inertial axes, m. The number of arguments, 4 to 7, tells the forms apart. The
+        position along inertial axes, m. The number of arguments, 4 to 7, tells them apart. The
         sign of the quaternion is continuous in the representation "quat" only.
     direction : {0, 1, -1}, default 0
         1 counts only crossings from negative to positive, in the order of the steps; -1 counts only
@@ -138,23 +138,23 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
         function = UserFunction(function)
     packing = Packing(None, "event", {}, shown=shown_in(scene.torque))
     reads = readings(event.reads, packing)
-    forms = {name: FORMS[name].with_reads(reads) for name, _ in _FORMS.values()}
+    signatures = {name: SIGNATURES[name].with_reads(reads) for name, _ in _ROLES.values()}
     arguments = len(function.required) - len(reads)
-    if arguments not in _FORMS:
-        accepted = ", ".join(forms[name].with_states(n).call for name, n in _FORMS.values())
+    if arguments not in _ROLES:
+        accepted = ", ".join(signatures[name].with_states(n).call for name, n in _ROLES.values())
         raise TypeError(f"event: found {function.called_as}; accepted: {accepted}")
-    form, is_of_states = _FORMS[arguments]
-    call = forms[form].with_states(is_of_states).call
-    if form == "event at position" and not position:
+    role, is_of_states = _ROLES[arguments]
+    call = signatures[role].with_states(is_of_states).call
+    if role == "event at position" and not position:
         raise ValueError(
             f"event: found {call}, but no position is carried; accepted: with r0, in a scene "
             "with mass"
         )
     if is_of_states and not scene.states:
         raise ValueError(
-            f"event: found {call}, but the scene has no states; accepted: {forms[form].call}, "
+            f"event: found {call}, but the scene has no states; accepted: {signatures[role].call}, "
             "or a scene with states"
         )
     params, states = parameters("params", scene.params), scene.states if is_of_states else 0
-    function = function.of(form, params.shape[-1], params, states, reads=reads)
+    function = function.of(role, params.shape[-1], params, states, reads=reads)
     return replace(event, function=function)

@@ -19,10 +19,10 @@ from fastatt.scene.models import (
 from fastatt.scene.torque_record import Pose
 from fastatt.tracing.formulas import Vector, dot, scale
 from fastatt.tracing.graph import apply
-from fastatt.tracing.user import FORMS, UserFunction
+from fastatt.tracing.user import SIGNATURES, UserFunction
 
-#: the forms of a user-defined force
-_FORMS = "force", "force at position"
+#: the roles of a user-defined force
+_ROLES = "force", "force at position"
 
 
 class Force(Model):
@@ -173,15 +173,15 @@ class Custom(UserModel, Force):
         function = self.function
         if not isinstance(function, UserFunction):
             function = UserFunction(function)
-        names, form = function.required, FORMS[self.form]
-        more = len(names) - len(form.before) - len(self.reads) - 1
+        names, signature = function.required, SIGNATURES[self.role]
+        more = len(names) - len(signature.before) - len(self.reads) - 1
         if more <= 0:
             return 0
         # the states, not a position that was not asked for
         if more > 1 or not states or ("r" in names and not self.uses_position):
             reads = [(name, 0) for name in self.reads]
-            forms = [FORMS[name].with_reads(reads) for name in _FORMS]
-            calls = [form.with_states(n).call for form in forms for n in (0, 1)]
+            signatures = [SIGNATURES[name].with_reads(reads) for name in _ROLES]
+            calls = [each.with_states(n).call for each in signatures for n in (0, 1)]
             raise TypeError(
                 f"force: found {function.called_as}; accepted: "
                 f"{calls[0]}, in a scene with states also {calls[1]}, and with uses_position=True "

@@ -21,7 +21,7 @@ from fastatt import checks
 from fastatt.scene.law import Law, LookUp, Reading, Sampling, Term
 from fastatt.scene.time_series import TimeSeries
 from fastatt.tracing.formulas import Vector
-from fastatt.tracing.user import FORMS, user_function
+from fastatt.tracing.user import SIGNATURES, user_function
 
 #: numbers of tables, by the names that graphs have for them
 Tables = dict[Any, NDArray[np.float64]]
@@ -354,8 +354,8 @@ class UserModel(Model):
         return self.states
 
     @property
-    def form(self) -> str:
-        """The signature of the function, a key of ``FORMS``."""
+    def role(self) -> str:
+        """The signature of the function, a key of ``SIGNATURES``."""
         return f"{self.kind} at position" if self.reads_position else self.kind
 
     def formula(self: Any, *state: Any) -> Any:
@@ -366,7 +366,7 @@ class UserModel(Model):
         params = join([parameters("params", self.params)], packing.n_bodies, "params")
         n, states = params.shape[-1], self.takes(packing.states)
         function = user_function(
-            self.function, self.form, n, params, states, reads=readings(self.reads, packing)
+            self.function, self.role, n, params, states, reads=readings(self.reads, packing)
         )
         packing.tables.update(function.tables)
         return Term(replace(self, function=function, params=None), (n,), (None,)), params
@@ -452,7 +452,7 @@ def packed_law(model: Any, base: type[Model], packing: Packing) -> PackedLaw:
     names = import_module(f"fastatt.scene.{base.kind}s").__all__
     raise TypeError(
         f"{argument}: found {type(model).__name__}; accepted: a model of fastatt.{base.kind}s "
-        f"({', '.join(names)}) or a function {FORMS[base.kind].call}"
+        f"({', '.join(names)}) or a function {SIGNATURES[base.kind].call}"
     )
 
 

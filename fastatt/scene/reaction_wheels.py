@@ -16,7 +16,7 @@ from fastatt.scene.models import Field, PackedTerm, Packing, Parameters, join
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
-from fastatt.tracing.user import FORMS, UserFunction, user_function
+from fastatt.tracing.user import SIGNATURES, UserFunction, user_function
 
 #: a number of each wheel
 _OfWheels = Annotated[ArrayLike, Field((-1,))]
@@ -155,7 +155,8 @@ class ReactionWheels(Torque):
         elif not callable(command):
             raise TypeError(
                 f"{name}.command: found {checks.brief(command)}; accepted: a function "
-                f"{FORMS['command'].with_states(axes.shape[-2]).call} or a model of fastatt.torques"
+                f"{SIGNATURES['command'].with_states(axes.shape[-2]).call} or a model of "
+                "fastatt.torques"
             )
 
     def pack(self, packing: Packing) -> PackedTerm:

@@ -27,7 +27,7 @@ from fastatt.scene.law import Law, Place, Sampling
 from fastatt.scene.models import Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
-from fastatt.tracing.user import FORMS, UserFunction
+from fastatt.tracing.user import SIGNATURES, UserFunction
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -414,10 +414,10 @@ def _warn_of_pulses(law: Law) -> None:
         function: Any = model.function if isinstance(model, models.UserModel) else None
         if function is None or function.kept is None:
             continue
-        first = sum(max(n, 1) for n in FORMS[model.form].before)
-        read = range(first, first + sum(n for _, n in function.form.reads))
+        first = sum(max(n, 1) for n in SIGNATURES[model.role].before)
+        read = range(first, first + sum(n for _, n in function.signature.reads))
         if read and function.kept.compares(range(1), read):
-            names = ", ".join(name for name, _ in function.form.reads)
+            names = ", ".join(name for name, _ in function.signature.reads)
             rounding.warn(
                 f"{model.kind}: found {function.described}, which compares the time with {names}; "
                 "no step ends where the result changes, so that such steps are of order 1: let a "

@@ -225,8 +225,8 @@ class Custom(UserModel, Torque):
                 "does not use w"
             )
         if self.potential is not None:
-            form = self.form.replace("torque", "potential")
-            energy = user_function(self.potential, form, params.shape[-1], params)
+            role = self.role.replace("torque", "potential")
+            energy = user_function(self.potential, role, params.shape[-1], params)
             packing.tables.update(energy.tables)
             term = replace(term, model=replace(term.model, potential=energy))
         return term, params

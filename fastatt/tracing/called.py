@@ -132,7 +132,7 @@ def _wrapper(user: UserFunction, *, is_number: bool) -> str:
         f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
         for part in user.nested([f"given[{k}]" for k in range(user.count)])
     ]
-    n, states = user.form.results, user.form.states
+    n, states = user.signature.results, user.signature.states
     parts = [("result[0]", n - states), ("result[1]", states)] if states else [("result", n)]
     lengths = [] if is_number else [f"len({name}) != {size}" for name, size in parts]
     items = [f"{name}[{k}]" for name, size in parts for k in range(size)]

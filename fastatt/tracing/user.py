@@ -72,7 +72,7 @@ _MEANINGS = {
     "time": "t", "quat": "q", "quaternion": "q", "attitude": "q", "omega": "w", "velocity": "v",
     "position": "r", "state": "s", "states": "s", "param": "p", "params": "p", "parameters": "p",
 }  # fmt: skip
-FORMS = {
+SIGNATURES = {
     "rate": Signature("rate(t, p)", (0,), 3, "rad/s", carries=True),
     "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m", carries=True),
     "torque at position": Signature(
@@ -89,15 +89,15 @@ FORMS = {
 }
 
 
-def user_function(function: Any, form: str, *others: Any, **named: Any) -> UserFunction:
+def user_function(function: Any, role: str, *others: Any, **named: Any) -> UserFunction:
     """A function of users, frozen, followed or compiled; one that is so already stays.
 
-    ``form`` is a key of ``FORMS``, and further arguments are those of ``UserFunction.of``. Raises
-    ``TypeError`` if it is not a function, is neither followed nor compiled, or does not return the
-    right number of results.
+    ``role`` is a key of ``SIGNATURES``, and further arguments are those of ``UserFunction.of``.
+    Raises ``TypeError`` if it is not a function, is neither followed nor compiled, or does not
+    return the right number of results.
     """
     found = function if isinstance(function, UserFunction) else UserFunction(function)
-    return found.of(form, *others, **named)
+    return found.of(role, *others, **named)
 
 
 class UserFunction:
@@ -118,14 +118,14 @@ class UserFunction:
         plain = (str(x.replace(default=x.empty, annotation=x.empty)) for x in given)
         self.called_as = f"{self.name}({', '.join(plain)})"
         self.argument, self.reason, self.n_params = "function", "", 0
-        self.form: Any = None
+        self.signature: Any = None
         #: operations of a followed function, code and values of a called one
         self.kept: Kept | None = None
         self.code: Any = None
 
     def of(
         self,
-        form: str,
+        role: str,
         n_params: int,
         params: NDArray[np.float64] | None = None,
         states: int = 0,
@@ -133,46 +133,47 @@ class UserFunction:
         reads: Sequence[tuple[str, int]] = (),
         results: int = 0,
     ) -> UserFunction:
-        """The function for a form and a number of parameters, which it has from then on.
+        """The function for a role and a number of parameters, which it has from then on.
 
         ``params``, (P,) or (N, P), are parameters with which the function is tried, ``states`` is
         the number of states that it takes, and ``own`` how many of them it carries itself, all or
         none by default. ``reads`` are the names and sizes of what other terms show it, and
-        ``results`` are how many numbers it returns, if its form leaves that open.
+        ``results`` are how many numbers it returns, if its role leaves that open.
         """
-        argument, signature = form.partition(" ")[0], FORMS[form].with_reads(reads)
+        argument, signature = role.partition(" ")[0], SIGNATURES[role].with_reads(reads)
         signature = signature._replace(results=results or signature.results)
         signature = signature.with_states(states, own)
         signature = signature if signature.results else signature._replace(results=n_params)
-        if self._function is None and self.form is not None:
-            if (signature, n_params) != (self.form, self.n_params):
+        if self._function is None and self.signature is not None:
+            if (signature, n_params) != (self.signature, self.n_params):
                 raise TypeError(
-                    f"{argument}: found {self!r}, made for {self.form.call} with {self.n_params} "
-                    f"parameters; accepted: one for {signature.call} with {n_params}"
+                    f"{argument}: found {self!r}, made for {self.signature.call} with "
+                    f"{self.n_params} parameters; accepted: one for {signature.call} with "
+                    f"{n_params}"
                 )
             return self
         if not isinstance(frozen.inner_of(self._function), python.FunctionType):
             raise TypeError(
                 f"{argument}: found {checks.brief(self._function)}; accepted: a function "
-                f"{FORMS[form].with_reads(reads).with_states(states).call}"
+                f"{SIGNATURES[role].with_reads(reads).with_states(states).call}"
             )
-        self.argument, self.form, self.n_params = argument, signature, n_params
-        self._check_arguments(form)
+        self.argument, self.signature, self.n_params = argument, signature, n_params
+        self._check_arguments(role)
         self._make(params)
         self._function = None
         return self
 
-    def _check_arguments(self, form: str) -> None:
+    def _check_arguments(self, role: str) -> None:
         """Refuse a function with other arguments, and say how to declare them."""
-        states, names = self.form.states, self.form.names
+        states, names = self.signature.states, self.signature.names
         try:
-            frozen.signature_of(self._function).bind(*[None] * (len(self.form.before) + 1))
+            frozen.signature_of(self._function).bind(*[None] * (len(self.signature.before) + 1))
         except TypeError:
-            accepted = [self.form.call]
-            if self.form.carries and not states:
-                accepted.append(f"with states=n {self.form.with_states(1).call}")
-            if f"{form} at position" in FORMS:
-                placed = FORMS[f"{form} at position"].with_reads(self.form.reads)
+            accepted = [self.signature.call]
+            if self.signature.carries and not states:
+                accepted.append(f"with states=n {self.signature.with_states(1).call}")
+            if f"{role} at position" in SIGNATURES:
+                placed = SIGNATURES[f"{role} at position"].with_reads(self.signature.reads)
                 placed = placed.with_states(states)
                 accepted.append(f"with uses_position=True {placed.call}")
             raise TypeError(
@@ -183,7 +184,7 @@ class UserFunction:
             if meant != accepted and meant in names:
                 raise TypeError(
                     f"{self.argument}: found {self.called_as}, with {name} in the place of "
-                    f"{accepted}; accepted: {self.form.call}"
+                    f"{accepted}; accepted: {self.signature.call}"
                 )
 
     def _make(self, params: NDArray[np.float64] | None) -> None:
@@ -268,8 +269,8 @@ class UserFunction:
         return np.stack(columns, axis=-1).astype(float)
 
     def in_a_row(self, result: Any) -> Sequence[Any]:
-        """The numbers of a result; raises ``RefusedError`` for another form."""
-        states = self.form.states
+        """The numbers of a result; raises ``RefusedError`` for another role."""
+        states = self.signature.states
         sizes = [self.results - states, states] if states else [self.results]
         is_row = isinstance(result, (tuple, list))
         parts = [result] if not states else list(result) if is_row else []
@@ -289,7 +290,7 @@ class UserFunction:
             with_states = f", and a tuple of {states}, the time derivatives of s" if states else ""
             raise RefusedError(
                 f"a result that is {name}{length}; accepted: {sizes[0]} numbers, "
-                f"{self.form.unit}{with_states}"
+                f"{self.signature.unit}{with_states}"
             )
         return row
 
@@ -306,7 +307,7 @@ class UserFunction:
 
     @property
     def _key(self) -> Any:
-        return self._function, self.form, self.n_params, self.kept, self.code
+        return self._function, self.signature, self.n_params, self.kept, self.code
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, UserFunction) and self._key == other._key
@@ -317,7 +318,7 @@ class UserFunction:
     @property
     def fingerprint(self) -> str:
         """A text of what a called function does."""
-        return hashlib.sha256(repr((self.form, self.n_params, self.code)).encode()).hexdigest()
+        return hashlib.sha256(repr((self.signature, self.n_params, self.code)).encode()).hexdigest()
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: x for k, x in self.__dict__.items() if k != "_compiled"}
@@ -339,23 +340,23 @@ class UserFunction:
     @property
     def results(self) -> int:
         """How many numbers it gives."""
-        return int(self.form.results)
+        return int(self.signature.results)
 
     @property
     def count(self) -> int:
         """How many numbers its arguments have."""
-        return int(sum(max(n, 1) for n in self.form.before) + self.n_params)
+        return int(sum(max(n, 1) for n in self.signature.before) + self.n_params)
 
     @property
     def _arguments(self) -> trial.Arguments:
-        unit = 4 * (", q," in self.form.call)
+        unit = 4 * (", q," in self.signature.call)
         return trial.Arguments(unit, self.count - 1 - unit - self.n_params, self.n_params)
 
     def nested(self, numbers: Sequence[Any]) -> tuple[Any, ...]:
         """Numbers in a row as arguments."""
         found: list[Any] = []
         at = 0
-        for n in self.form.before:
+        for n in self.signature.before:
             found.append(tuple(numbers[at : at + n]) if n else numbers[at])
             at += max(n, 1)
         return (*found, tuple(numbers[at:]))
@@ -363,7 +364,7 @@ class UserFunction:
     @property
     def described(self) -> str:
         """Its name in messages: ``spin(t, p)``."""
-        return str(self.form.call.replace(self.argument, self.name, 1))
+        return str(self.signature.call.replace(self.argument, self.name, 1))
 
     def call(self, *args: Any) -> Any:
         """Its result for numbers of a graph: 3 numbers, or one for a potential.
@@ -372,7 +373,7 @@ class UserFunction:
         states follow, if it has states. A function that is called computes in double precision.
         """
         *before, p = args
-        numbers = graph.flattened([*before[: len(self.form.before)], p])
+        numbers = graph.flattened([*before[: len(self.signature.before)], p])
         like = next((x for x in numbers if isinstance(x, Recorded)), None)
         if self.kept is not None:
             with graph.strictly(numbers):
