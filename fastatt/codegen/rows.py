@@ -100,6 +100,10 @@ class RowFunction:
         forms = list(map(self._form, self.inputs.values()))[:-1]
         return trace(self._constants, forms, 0, self.precision, native=self._native)
 
+    @cached_property
+    def _resources(self) -> list[tuple[str, Any]]:
+        return self.traced.resources
+
     def _form(self, n: Width) -> Any:
         return self.precision if n is None else Tuple(tuple, (self.precision,) * n)
 
@@ -207,11 +211,11 @@ class RowFunction:
             shape = (-1, lead[-1] if lead else 1)
             samples = total // shape[1]
             results = [x.reshape(*shape, _count(n)) for x, n in zip(out, self.outputs, strict=True)]
-            sources = [np.broadcast_to(x, (samples, shape[1], x.shape[-1])) for x in given]
+            sources = [_wide(x, (samples, shape[1], x.shape[-1])) for x in given]
             sources, wide = joined(sources, INPUTS), joined(results, RESULTS)
             last = wide[-1]
             kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
-            whole = array("q", addresses(self.traced.resources, kept))
+            whole = array("q", addresses(self._resources, kept))
             if shape[1] < self._made.shape.block and shape[1] < samples:
                 # a lane for each sample
                 sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
@@ -295,6 +299,11 @@ class LogFunction(RowFunction):
             last = as_strided(state, (n, *state.shape), (0, *state.strides))
             self._run(sources, [last], array("q"), n_threads)
         return state
+
+
+def _wide(x: Array, shape: tuple[int, ...]) -> Array:
+    """Rows that broadcast, without the time of NumPy's function where nothing is to be done."""
+    return x.reshape(shape) if x.size == math.prod(shape) else np.broadcast_to(x, shape)
 
 
 def _count(width: Width) -> int:

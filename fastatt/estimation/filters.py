@@ -14,8 +14,7 @@ from fastatt.arrays import (
     check_broadcast,
     floats,
     normalised,
-    quat_multiply,
-    quat_to_rotation_vector,
+    on_rows,
 )
 from fastatt.estimation.amounts import (
     attitude_covariance,
@@ -26,6 +25,7 @@ from fastatt.estimation.amounts import (
     variance,
 )
 from fastatt.estimation.updates import operation
+from fastatt.tracing.formulas import quat
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,20 @@ def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
     """
     rows, true = _not_zero("q", q), _not_zero("q_true", q_true)
     check_broadcast("q", rows, "q_true", true)
-    return quat_to_rotation_vector(quat_multiply(rows * (1.0, -1.0, -1.0, -1.0), true))
+    return on_rows(_between, rows, true, after=3)
+
+
+def _between(q: Any, p: Any) -> Any:
+    return quat.log(quat.mul(quat.conj(q), p))
+
+
+def turned(q: Floats, d: Floats) -> Floats:
+    """Attitudes q∘exp(d), of angles d that are not large."""
+    return on_rows(_turned, q, d, after=4)
+
+
+def _turned(q: Any, d: Any) -> Any:
+    return quat.mul(q, quat.exp(d))
 
 
 def _not_zero(name: str, q: ArrayLike) -> Floats:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from fastatt import checks
 from fastatt.arrays import (
     normalised,
-    quat_multiply,
     quat_to_dcm,
     rotation_vector_to_quat,
 )
@@ -23,6 +22,7 @@ from fastatt.estimation.filters import (
     Floats,
     attitude_error,
     normalised_square,
+    turned,
 )
 from fastatt.estimation.motions import Motion, moved_rows
 
@@ -150,7 +150,7 @@ class UKF(Estimates):
         columns = np.minimum(usual, _FARTHEST / np.maximum(away, _FARTHEST / usual))
         side = np.swapaxes(columns[:, None] * L, 1, 2)
         d = np.concatenate([np.zeros((n, 1, size)), side, -side], axis=1)
-        q = quat_multiply(self._q[:, None], rotation_vector_to_quat(d[..., :3]))
+        q = turned(self._q[:, None], d[..., :3])
         return q, self._y[:, None] + d[..., 3:], L, columns
 
     def _moments(self, x: Floats, columns: Floats) -> tuple[Floats, Floats, Floats]:
@@ -189,7 +189,7 @@ class UKF(Estimates):
         mean = q[:, 0]
         for _ in range(2):
             shift, *_ = self._moments(attitude_error(mean[:, None], q), columns)
-            mean = normalised(quat_multiply(mean, rotation_vector_to_quat(shift)))
+            mean = normalised(turned(mean, shift))
         errors = attitude_error(mean[:, None], q)
         farthest = float(np.linalg.norm(errors, axis=-1).max())
         if farthest > _FAR:
@@ -260,7 +260,7 @@ class UKF(Estimates):
         # along the axes of the corrected attitude
         back = quat_to_dcm(rotation_vector_to_quat(-d[:, :3]))
         seen_from = np.concatenate([back @ L[:, :3], L[:, 3:]], axis=1)
-        q = quat_multiply(self._q, rotation_vector_to_quat(d[:, :3]))
+        q = turned(self._q, d[:, :3])
         used = nis <= largest_square(gate)
         self._set(used, q, self._y + d[:, 3:], seen_from @ left @ np.swapaxes(seen_from, 1, 2))
         return self._checked_nis(nis, gate, before - attitude_variance(self._P))
