@@ -45,6 +45,7 @@ OPERATORS = {
     ast.FloorDiv: ast.Mult, ast.Pow: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
 SYMMETRIC = ("max", "min", "np.maximum", "np.minimum")
+REFUSALS = "tests/refusals"  # of all packages
 TESTS_BESIDE = {"fastatt/engine": "tests/propagation", "fastatt/codegen": "tests/engine"}
 
 
@@ -164,7 +165,8 @@ def run_pytest(folder: Path, *options: str, limit: float | None = None) -> Any:
 def tests_of(mutation: Mutation, coverage: Path) -> list[str]:
     """The tests that touch the file; those that execute the statement first."""
     package = Path(mutation.file).parent.as_posix()
-    folders = tuple(filter(None, (package.replace("fastatt", "tests"), TESTS_BESIDE.get(package))))
+    beside = package.replace("fastatt", "tests"), REFUSALS, TESTS_BESIDE.get(package)
+    folders = tuple(filter(None, beside))
     if not coverage.exists():
         return [*folders]
     with sqlite3.connect(coverage) as data:
