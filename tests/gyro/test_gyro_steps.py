@@ -118,9 +118,3 @@ def test_from_jitted_code(allocations):
     assert np.abs(np.subtract(q, slow)).max() <= 16 * ULPS
     for text in with_samples.inspect_llvm().values():
         assert not is_made_in(text)
-
-
-def test_refusals():
-    for method in ("rk4", "picard"):
-        with pytest.raises(ValueError, match=f"method: found '{method}'; accepted: hold"):
-            steps.sample_step(method)

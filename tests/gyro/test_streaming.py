@@ -158,8 +158,6 @@ def test_an_attitude_that_is_assigned_turns_all_later_ones(method, increments, n
         turned.q = fa.quat_multiply([0.6, 0.8, 0.0, 0.0], turned.q)
     a, b = plain.close(), turned.close()
     assert not a.size or fa.angle_between(fa.quat_multiply(turn, a), b).max() < 1e-14
-    with pytest.raises(ValueError, match="found an integrator that is closed"):
-        turned.q = start
 
 
 @pytest.mark.parametrize("method", ["previous", "coning2"])
@@ -225,40 +223,6 @@ def test_refused_samples_leave_all_as_it_was(rates, dt, message):
         flows[0].push(rates, dt)
     first, second = (flow.push([0.3, 0.2, 0.1], 0.1) for flow in flows)
     assert np.array_equal(first, second)
-
-
-@pytest.mark.parametrize(
-    ("given", "options", "message"),
-    [
-        ((START, 0.0), {}, "dt: found 0.0"),
-        ((START, 0.1), {"method": "rk4"}, "method: found 'rk4'"),
-        ((np.zeros(4), 0.1), {}, "q0 is the zero quaternion"),
-    ],
-)
-def test_refusals(given, options, message):
-    with pytest.raises(ValueError, match=message):
-        fa.GyroIntegrator(*given, **options)
-
-
-def test_what_an_integrator_takes_no_more():
-    flow = fa.GyroIntegrator(START, 0.1)
-    with pytest.raises(ValueError, match=r"dt: found 0\.1; accepted: None"):
-        flow.push([0.0] * 3, 0.1)
-    flow.close()
-    for call in (lambda: flow.push([0.0] * 3), flow.close):
-        with pytest.raises(ValueError, match="an integrator that is closed"):
-            call()
-
-
-def test_angles_that_overflow_within_a_window_are_refused():
-    """The attitude at its end may be finite."""
-    rates = np.array(
-        [[1e39, 0.0, 0.0], [0.0, 1e63, -4e257], [0.0] * 3, [9e141, 0.0, 0.0], [0.0] * 3]
-    )
-    with pytest.raises(ValueError, match="rates: the angles overflow float64"):
-        fa.integrate_rates(rates, 0.18, START, method="coning2")
-    with pytest.raises(ValueError, match="rates: the angles overflow float64"):
-        fa.GyroIntegrator(START, 0.18, method="coning2").push(rates)
 
 
 def test_long_turns_are_told_by_their_place_in_the_log():
