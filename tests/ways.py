@@ -32,6 +32,22 @@ def held(t, q, w, s, p):
     return (-p[0] * w[0], -s[0], 0.0), (s[0] + 0.1 * w[1],)
 
 
+def motors(t, q, w, speeds, error, p):
+    return [-p[0] * x - p[1] * v - 1e-3 * s for x, v, s in zip(error, w, speeds, strict=True)]
+
+
+def several_clocks():
+    """Controllers that read each other, at sample times of their own."""
+    law = fa.torques.SampledControl(motors, 0.07, (0.2, 0.8), reads=("wheels.speeds", "error"))
+    wheels = fa.torques.ReactionWheels(np.eye(3), 0.02, law, max_torque=0.5, coulomb=1e-3)
+    terms = {
+        "error": fa.torques.SampledControl(lambda t, q, w, p: q[1:], 0.25, start=0.1, holds=3),
+        "wheels": wheels,
+        "slow": fa.torques.SampledControl(fa.torques.Damping(0.01), 0.6, start=-0.3),
+    }
+    return fa.Scene(inertia=wheels.body_inertia(BODY), torque=fa.torques.Sum(terms))
+
+
 RATE = fa.Scene(rate=fa.rates.Coning(OWN[:, 0], OWN[:, 1] + 1.0))
 SHARED = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
 TORQUED = fa.Scene(inertia=BODY, torque=swing, params=OWN)
@@ -61,6 +77,7 @@ WAYS = {
     "position": (MOVED, {"method": "rk4", "v0": W0 + 1.0, "r0": W0 - 1.0}),
     "states": (STATES, {"method": "rk4", "s0": W0[:, :2]}),
     "samples": (SAMPLED, {"method": "rk4", "s0": np.zeros((N, 4))}),
+    "clocks": (several_clocks(), {"method": "rk4", "s0": 0.1 * RNG.normal(size=(N, 12))}),
     "breakpoints": (BROKEN, {"method": "rk4"}),
     "breakpoints, splitting": (BROKEN, {"method": "strang2"}),
     "events": (TORQUED, {"method": "rk4", "events": EVENTS}),

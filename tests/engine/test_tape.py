@@ -1,4 +1,4 @@
-"""The tape of a run: its actions and their order, without a compiler."""
+"""The tape of a run: in pieces as a whole, without a compiler (what it does: test_one_result)."""
 
 from __future__ import annotations
 
@@ -48,119 +48,10 @@ def read(records):
     return found
 
 
-def whole(*args, **options):
-    """The actions of a run in one piece."""
-    (piece,) = pieces(*args, **options)
-    return read(piece.tape)
-
-
 def test_the_module_needs_no_compiler():
     code = "import sys, fastatt.engine.tape; print('numba' in sys.modules)"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert told.stdout == "False\n"
-
-
-def test_steps_and_saves():
-    assert whole(legs_of(0.5, 3), saves_at(1.5)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 3", "SAVE 3 0", "STATUS",
-    ]  # fmt: skip
-    assert whole(legs_of(0.5, 3), saves_at(0.0, 1.0, 1.5)) == [
-        "CLOCK 0.5 0", "START", "SAVE 0 0", "STEPS 0 2", "SAVE 2 1", "STEPS 2 3", "SAVE 3 2",
-        "STATUS",
-    ]  # fmt: skip
-    assert whole(legs_of(0.5, 0), saves_at(0.0)) == ["CLOCK 0.5 0", "START", "SAVE 0 0", "STATUS"]
-    assert whole(legs_of(-0.5, 2), saves_at(-1.0)) == [
-        "CLOCK -0.5 0", "START", "STEPS 0 2", "SAVE 2 0", "STATUS",
-    ]  # fmt: skip
-
-
-def test_blocks_and_projections():
-    assert whole(legs_of(0.5, 600), saves_at(300.0)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 256", "STEPS 256 512", "STEPS 512 600", "SAVE 600 0",
-        "STATUS",
-    ]  # fmt: skip
-    assert whole(legs_of(0.5, 7), saves_at(2.0, 3.5), every=2) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 2", "PROJECT", "STEPS 2 4", "PROJECT", "SAVE 4 0",
-        "STEPS 4 6", "PROJECT", "STEPS 6 7", "SAVE 7 1", "STATUS",
-    ]  # fmt: skip
-
-
-def test_a_save_within_a_step_is_made_on_a_copy():
-    assert whole(legs_of(0.5, 3), saves_at(0.7, 1.5)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 1", "FORK", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0",
-        "STEPS 0 1", "SAVE 1 0", "JOIN", "CLOCK 0.5 0", "STEPS 1 3", "SAVE 3 1", "STATUS",
-    ]  # fmt: skip
-
-
-def test_a_breakpoint_divides_a_step():
-    assert whole(legs_of(0.5, 3, breaks_at(0.7)), saves_at(1.5)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0", "STEPS 0 1",
-        "LEAVE 1", "CLOCK 0.3 0.7", "ENTER 0", "STEPS 0 1", "LEAVE 1", "CLOCK 0.5 0", "ENTER 2",
-        "STEPS 2 3", "SAVE 3 0", "STATUS",
-    ]  # fmt: skip
-    assert whole(legs_of(0.5, 2, breaks_at(0.5)), saves_at(1.0)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.5 0", "ENTER 1", "STEPS 1 2",
-        "SAVE 2 0", "STATUS",
-    ]  # fmt: skip
-
-
-def test_states_jump_at_sample_times():
-    breaks = breaks_at(0.5, jumps=(0.0, 0.5))
-    assert whole(legs_of(0.5, 2, breaks), saves_at(1.0)) == [
-        "CLOCK 0.5 0", "START", "LEAVE 0", "JUMP 0", "ENTER 0", "STEPS 0 1",
-        "LEAVE 1", "CLOCK 0.5 0", "JUMP 1", "ENTER 1", "STEPS 1 2", "SAVE 2 0", "STATUS",
-    ]  # fmt: skip
-
-
-def test_controllers_that_are_due_jump_in_their_order():
-    breaks = breaks_at(0.5)._replace(jumps=np.array([0b11, 0b10]))
-    assert whole(legs_of(0.5, 2, breaks), saves_at(1.0)) == [
-        "CLOCK 0.5 0", "START", "LEAVE 0", "JUMP 0", "JUMP+1 0", "ENTER 0", "STEPS 0 1",
-        "LEAVE 1", "CLOCK 0.5 0", "JUMP+1 1", "ENTER 1", "STEPS 1 2", "SAVE 2 0", "STATUS",
-    ]  # fmt: skip
-
-
-def test_a_save_in_a_divided_step_takes_the_clock_of_its_part():
-    """Whole steps stay where they are, whatever is saved and wherever steps are divided."""
-    assert whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(0.6, 0.7, 0.8, 1.0)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 1", "LEAVE 1", "CLOCK 0.2 0.5", "ENTER 0",
-        "FORK", "LEAVE 0", "CLOCK 0.1 0.5", "ENTER 0", "STEPS 0 1", "SAVE 1 0", "JOIN",
-        "CLOCK 0.2 0.5", "STEPS 0 1", "SAVE 1 1", "LEAVE 1", "CLOCK 0.3 0.7", "ENTER 0",
-        "FORK", "LEAVE 0", "CLOCK 0.1 0.7", "ENTER 0", "STEPS 0 1", "SAVE 1 2", "JOIN",
-        "CLOCK 0.3 0.7", "STEPS 0 1", "SAVE 1 3", "STATUS",
-    ]  # fmt: skip
-
-
-def test_a_shorter_last_step():
-    assert whole(legs_of(0.5, 3, UNBROKEN, 1.2), saves_at(1.0, 1.2)) == [
-        "CLOCK 0.5 0", "START", "STEPS 0 2", "SAVE 2 0", "LEAVE 2", "CLOCK 0.2 1", "ENTER 0",
-        "STEPS 0 1", "SAVE 1 1", "STATUS",
-    ]  # fmt: skip
-
-
-def test_events_look_where_legs_begin():
-    """At the values, and on a copy at those in the middle of the step."""
-    middle = ["CLOCK 0.25 0", "ENTER 0", "STEPS 0 1", "MIDDLE 1", "JOIN"]
-    first = ["LOOK 0", "FORK", "LEAVE 0", *middle]
-    assert whole(legs_of(0.5, 2), saves_at(1.0), has_events=True) == [
-        "CLOCK 0.5 0", "START", "RESTORE", *first, "CLOCK 0.5 0", "STEPS 0 2", "SAVE 2 0", "STATUS",
-    ]  # fmt: skip
-    actions = whole(legs_of(0.5, 2, breaks_at(0.7)), saves_at(1.0), has_events=True)
-    assert [x for x in actions if x.startswith("LOOK")] == ["LOOK 0"] * 3
-    resumed = {"has_events": True, "resumes": True, "done": 1}
-    known = whole(legs_of(0.5, 2), saves_at(1.0), new=False, **resumed)
-    assert known[:3] == ["CLOCK 0.5 0", "START", "RESTORE"]
-    assert "LOOK 1" not in known
-    assert "LOOK 1" in whole(legs_of(0.5, 2), saves_at(1.0), **resumed)
-
-
-def test_a_resumed_run_goes_on():
-    legs = legs_of(0.5, 4, breaks_at(1.2))
-    assert whole(legs, saves_at(1.0, 2.0), resumes=True, done=2) == [
-        "CLOCK 0.5 0", "START", "RESTORE", "SAVE 2 0", "LEAVE 2", "CLOCK 0.2 1", "ENTER 0",
-        "STEPS 0 1", "LEAVE 1", "CLOCK 0.3 1.2", "ENTER 0", "STEPS 0 1", "LEAVE 1",
-        "CLOCK 0.5 0", "ENTER 3", "STEPS 3 4", "SAVE 4 1", "STATUS",
-    ]  # fmt: skip
 
 
 def test_the_time_of_the_start_moves_clocks_alone():

@@ -60,22 +60,6 @@ def assert_stopped(found, k):
     assert np.abs(found.w[is_late, k, 0] - 0.1).max(initial=0.0) < 1e-12
 
 
-@pytest.mark.parametrize("method", ["rk8", "dmv10"])
-@pytest.mark.parametrize("name", ["free", "stops"])
-def test_save_at_has_the_bits_of_whole_steps(reference, name, method):
-    events = STOPS if name == "stops" else FREE
-    whole = reference[name] if method == "rk8" else run(events, method=method, save_every=25)
-    # a save right after each event, within its step
-    after = whole.event_times[:, 0] + 1e-4
-    times = np.sort(np.concatenate([TIMES, after[after < END]]))
-    found = run(events, method=method, save_at=times)
-    np.testing.assert_array_equal(found.event_times, whole.event_times)
-    assert not found.status.any()
-    np.testing.assert_array_equal(found.q[np.searchsorted(found.t, whole.t)], whole.q)
-    for k in range(N) if name == "stops" else ():
-        assert_stopped(found, k)
-
-
 @pytest.mark.parametrize("name", ["free", "stops"])
 def test_per_body_step_sizes(reference, name):
     found = run(STOPS if name == "stops" else FREE, dt=SIZES, save_at=TIMES)

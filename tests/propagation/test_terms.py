@@ -227,57 +227,6 @@ def test_states_read_each_other():
     np.testing.assert_allclose(run.s[-1], [math.cos(10), -math.sin(10)], rtol=0.0, atol=1e-13)
 
 
-def motors(t, q, w, speeds, target, p):
-    """A torque on the body, by what the wheels show."""
-    return [-p[0] * x - p[1] * v - 1e-4 * s for x, v, s in zip(target, w, speeds, strict=True)]
-
-
-def four_clocks(**options):
-    control = T.SampledControl(
-        motors, 0.25, params=(2.0, 8.0), reads=("wheels.speeds", "error"), **options
-    )
-    wheels = T.ReactionWheels(np.eye(3), 0.02, control, max_torque=0.5, coulomb=1e-3)
-    terms = {
-        "error": T.SampledControl(lambda t, q, w, p: q[1:], 0.7, start=0.1, holds=3),
-        "wheels": wheels,
-        "slow": T.SampledControl(T.Damping(0.01), 2.0, start=-0.3),
-        "fast": T.SampledControl(T.Damping(0.02), 0.1),
-        "coils": T.Custom(coils, COILS, reads="wheels"),
-    }
-    return fa.Scene(inertia=wheels.body_inertia(INERTIA), torque=T.Sum(terms))
-
-
-def test_runs_of_several_clocks_are_one(tmp_path):
-    """The same bits with saves, with an event, from a file, for one body and for many."""
-    scene = four_clocks()
-    assert scene.parts["wheels"] == slice(3, 9)
-    assert scene.states == 15
-    h0 = [0.5, -0.2, 0.3]
-    s0 = {"error": [0.1, 0.1, 0.1], "wheels": [*h0, 0.0, 0.0, 0.0]}
-    how = {"dt": 0.06, "method": "rk8"}
-    run = fa.propagate(scene, Q0, W0, s0=s0, **how, t_end=8.1)
-    for steps in (31, 70):
-        fa.propagate(scene, Q0, W0, s0=s0, **how, n_steps=steps).save_end(tmp_path / "end")
-        rest = fa.resume(scene, tmp_path / "end", t_end=8.1)
-        np.testing.assert_array_equal(rest.s[-1], run.s[-1])
-        np.testing.assert_array_equal(rest.q[-1], run.q[-1])
-    with pytest.raises(ValueError, match="scene"):
-        fa.resume(four_clocks(delay=1), tmp_path / "end", t_end=8.1)
-    event = fa.event(lambda t, q, w, p: q[0] - 0.95)
-    others = (
-        fa.propagate(scene, Q0, W0, s0=s0, **how, t_end=8.1, events=[event]),
-        fa.propagate(scene, Q0, W0, s0=s0, **how, save_at=np.linspace(0.0, 8.1, 37)),
-        fa.propagate(pickle.loads(pickle.dumps(scene)), Q0, W0, s0=s0, **how, t_end=8.1),
-    )
-    for other in others:
-        np.testing.assert_array_equal(other.q[-1], run.q[-1])
-    many = np.tile(W0, (9, 1)) * np.arange(1.0, 10.0)[:, None]
-    all_of = fa.propagate(scene, Q0, many, s0=s0, **how, t_end=8.1)
-    np.testing.assert_array_equal(all_of.q[-1, 0], run.q[-1])
-    each = fa.propagate(scene, Q0, many, s0=s0, dt=0.2, t_end=8.1, method="rk8")
-    assert fa.angle_between(each.q[-1], all_of.q[-1]).max() < 1e-7
-
-
 def test_speeds_in_a_sampled_command_are_those_that_a_function_takes():
     def by_speeds(t, q, w, speeds, p):
         return [-2.0 * q[0] * x - 8.0 * v - 1e-4 * s for x, v, s in zip(q[1:], w, speeds)]  # noqa: B905
@@ -354,7 +303,7 @@ def held(t, q, w, p):
     return w
 
 
-HELD, FREE = T.SampledControl(held, 1.0, holds=3), T.Custom(held)
+HELD = T.SampledControl(held, 1.0, holds=3)
 
 
 def scene_of(torque, **options):

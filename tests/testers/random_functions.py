@@ -1,7 +1,5 @@
 """Functions of users made at random, beside Python: what a scene runs, what it refuses.
 
-    python tests/testers/random_functions.py [kind] [cases] [first seed]
-
 ``functions``: conditions, early returns, helpers, writes in place, aliases, containers, methods,
 tables. ``values``: what a function refers to changes between making a scene and running it, also
 for copies, pickles, subsets and plans. ``impure``: functions that give another value at each call or
@@ -10,23 +8,18 @@ write outside. A case is followed, called or refused; any other number than Pyth
 
 from __future__ import annotations
 
-import collections
 import copy
 import dataclasses
 import linecache
 import math
 import pickle
 import random
-import sys
-import warnings
 
 import numpy as np
 
 import fastatt as fa
 from fastatt.tracing.user import user_function
 
-KINDS = ("functions", "values", "impure")
-SIZES = 0, 4, 3, 2
 HEAD = """import math, random, time, datetime, itertools
 import numpy as np
 LIMIT, GAIN, CFG = 0.7, 1.3, {"gain": 0.8, "lim": 2.0, "deep": {"k": 1.5}}
@@ -547,49 +540,29 @@ IMPURE = [
 ]  # fmt: skip
 
 
+PLACES = [
+    "return {v}, 0.0, 0.0", "x = 0.5\n    if t > 1.0: x = {v}\n    return x, 0.0, 0.0",
+    "n = 0\n    while n < t: n += 1\n    return {v}, 0.0, 0.0", "return [{v} * k for k in w]",
+    "def inner(): return {v}\n    return inner(), 0.0, 0.0", "return (lambda: {v})(), w[0], 0.0",
+]  # fmt: skip
+
+
 def of_impure(seed: int) -> tuple[str, str]:
     """A function that is not the same at each call, or that writes outside."""
     r = random.Random(seed)
-    first, value = r.choice(IMPURE)
-    body = r.choice([
-        "return {v}, 0.0, 0.0", "x = 0.5\n    if t > 1.0: x = {v}\n    return x, 0.0, 0.0",
-        "n = 0\n    while n < t: n += 1\n    return {v}, 0.0, 0.0", "return [{v} * k for k in w]",
-        "def inner(): return {v}\n    return inner(), 0.0, 0.0", "return (lambda: {v})(), w[0], 0.0",
-    ])  # fmt: skip
+    return impure(*r.choice(IMPURE), r.choice(PLACES))
+
+
+def impure(first: str, value: str, body: str) -> tuple[str, str]:
+    """The function that is written with a value at a place."""
     text = f"{HEAD}{first}\ndef torque(t, q, w, p):\n    {body.format(v=value)}\n"
-    scope = module_of(text, f"<impure {seed}>")
+    scope = module_of(text, "<impure>")
     about = f"{first}; {value}; {body}"
     before = repr({k: x for k, x in scope.items() if k in ("N", "M", "K", "S")})
     try:
         made = user_function(scope["torque"], "torque", 2)
     except TypeError as error:
         after = repr({k: x for k, x in scope.items() if k in ("N", "M", "K", "S")})
-        placed = f"<impure {seed}>:" in str(error) or ".py:" in str(error)
+        placed = "<impure>:" in str(error) or ".py:" in str(error)
         return ("refused", "") if after == before and placed else ("error", f"{about}: {error}")
     return "error", f"{about}: accepted as {made}"
-
-
-def main(kind: str, cases: int, first: int) -> int:
-    """Run cases of a kind, and print what comes out."""
-    warnings.simplefilter("ignore")
-    run = {"functions": of_functions, "values": of_values, "impure": of_impure}[kind]
-    counts: collections.Counter = collections.Counter()
-    reasons: collections.Counter = collections.Counter()
-    for seed in range(first, first + cases):
-        how, why = run(seed)
-        counts[how] += 1
-        if how == "error":
-            print(f"--- {kind} {seed}: {why}", flush=True)
-        elif how != "followed":
-            reasons[f"{how}: {why.split(' (<')[0].split(', for ')[-1][:70]}"] += 1
-    print(kind, dict(counts), f"{counts['followed'] / cases:.0%} followed")
-    for why, n in reasons.most_common(12):
-        print(f"{n:6d} {why}")
-    return counts["error"]
-
-
-if __name__ == "__main__":
-    given = sys.argv[1:]
-    kinds = given[:1] if given else KINDS
-    rest = [int(x) for x in given[1:]]
-    sys.exit(sum(main(k, *(rest + [200, 0][len(rest) :])) for k in kinds) > 0)

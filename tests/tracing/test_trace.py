@@ -8,10 +8,19 @@ import warnings
 import numpy as np
 import pytest
 from each import each
-from numba import njit
+from test_paths import (
+    GRID,
+    calls,
+    clamped,
+    conditional,
+    helper,
+    known_conditions,
+    of_kernels,
+    powers,
+    remainders,
+    typed,
+)
 
-from fastatt import kernels
-from fastatt.kernels import quat
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Graph, flattened
@@ -19,29 +28,6 @@ from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.operations import FUNCTIONS as KNOWN
 from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.trace import traceable
-
-GAIN = 2.5
-LIMITS = (-1.0, 1.0)
-GRID = [-1.0, -0.25, 0.0, 0.5, 1.0, 1.75, 3.0]
-
-
-@njit
-def jitted(x, y=2.0):
-    return x * y if x > 0.0 else -x
-
-
-def helper(x):
-    return jitted(x) + GAIN
-
-
-def conditional(x, y):
-    return x if x > y else -y if y > 0.5 else x * y
-
-
-def known_conditions(x, y):
-    z = (x, y)
-    a = z[2] if len(z) > 2 else z[0]
-    return z[1] * (1.0 / GAIN if GAIN else a)
 
 
 def loops(x, y):
@@ -51,39 +37,13 @@ def loops(x, y):
     return s - sum(a * b for a, b in zip((1.0, 2.0), (x, y), strict=True))
 
 
-def clamped(x, y):
-    return max(LIMITS[0], min(x, LIMITS[1])) + max((x, y, 0.5)) + abs(y)
-
-
-def calls(x, y):
-    return jitted(x) + jitted(x, y=y) + helper(y) + quat.dot((x, y, 0.0, 1.0), (y, x, 1.0, 2.0))
-
-
-def remainders(x, y):
-    return x % 0.75 + x // 0.75 + 10.0 * (y % -0.5) + divmod(y, 0.375)[0] + 7.5 % (abs(x) + 1.0)
-
-
-def powers(x, y):
-    return x**2 + y**3 + abs(x) ** 0.5 + abs(y) ** 1.5
-
-
-def typed(x, y):
-    F = type(x)
-    return F(0.5) * x if y > F(1.0) else F(2.0)
-
-
 def of_numpy(x, y):
     return np.rint(x) + np.floor(y) + np.sqrt(abs(x)) + np.sign(y) + np.hypot(x, y)
 
 
-def of_modules(x, y):
-    q = kernels.quat.exp((x, y, 0.0))
-    return kernels.quat.rotate(q, (0.0, 0.0, 1.0))
-
-
 FUNCTIONS = [
     *(conditional, known_conditions, loops, clamped, calls, remainders, powers, typed, of_numpy),
-    *(of_modules, functools.partial(lambda k, x, y: k * x + y, 3.0)),
+    *(of_kernels, functools.partial(lambda k, x, y: k * x + y, 3.0)),
 ]
 
 

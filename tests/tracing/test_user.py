@@ -11,16 +11,14 @@ import sys
 
 import numpy as np
 import pytest
-from numba import njit, types
+from numba import njit
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
-from fastatt.codegen.emitter import POINTERS, Emitter
-from fastatt.codegen.modules import generated
 from fastatt.tracing import called, source
 from fastatt.tracing.called import ENTRY
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.graph import Double, Graph
+from fastatt.tracing.graph import Graph
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.user import user_function
 
@@ -126,48 +124,6 @@ def test_others_are_called(function, argument, given):
     np.testing.assert_allclose(known, expected[0] if argument == "potential" else expected)
 
 
-def aligned(n):
-    """Memory as vectors are loaded from."""
-    memory = np.empty(n + 8)
-    start = -memory.ctypes.data // 8 % 8
-    return memory[start : start + n]
-
-
-@pytest.mark.parametrize("lanes", [1, 4])
-def test_called_from_machine_code(lanes):
-    made = user_function(until, "rate", 2)
-    graph = Graph()
-    t, p = inputs(graph, made)
-    x = [Double(y) for y in made.call(t, p)]
-    flat = Flat(graph, [x[0] + p[1], x[1], x[2] * 2.0], "double")
-
-    def emit(code, args):
-        given, results, address = args
-        resources = {("function", made): code.b.inttoptr(address, POINTERS["function"])}
-
-        def load(name, kind):
-            at = name[1] * lanes
-            return code.vector(kind, given, at, lanes), lanes > 1
-
-        for i, (value, _) in enumerate(Emitter(code, lanes, resources)(flat, load)):
-            code.store_vector(results, i * lanes, value)
-
-    numbers = types.CPointer(types.float64)
-    arguments = (numbers, numbers, types.int64)
-    text = "def run(given, results, address): step(given, results, address)\n"
-    key = flat.spelled([("function", made)]) + str(lanes)
-    run = generated(text, arguments, {"step": (arguments, emit)}, key)
-    times = np.array([3.2, -1.0, 0.75, 9.0])[:lanes]
-    a, b = aligned(3 * lanes), aligned(3 * lanes)
-    a[:] = [*times, *[P[0]] * lanes, *[P[1]] * lanes]
-    pointer = ctypes.c_void_p
-    call = ctypes.CFUNCTYPE(None, pointer, pointer, ctypes.c_int64)(run.address)
-    call(a.ctypes.data, b.ctypes.data, made.address)
-    for k, t in enumerate(times):
-        x = until(t, P)
-        np.testing.assert_array_equal(b[k::lanes], [x[0] + P[1], x[1], x[2] * 2.0])
-
-
 @pytest.mark.parametrize("own", [False, True])
 @pytest.mark.parametrize("method", ["lie_euler", "lie_midpoint"])
 def test_what_bodies_share_is_asked_for_once(own, method, monkeypatch):
@@ -242,14 +198,6 @@ def test_jitted_functions_are_not_compiled_to_be_followed():
     assert not function.signatures
 
 
-def test_usual_arguments_are_tried():
-    """Given parameters, and unit quaternions."""
-    made = user_function(lambda t, p: (p[0], t, 0.0), "rate", 1, np.arange(16.0)[:, None])
-    assert made.usual[:, 1].tolist() == [float(k) for k in range(0, 16, 2)]
-    made = user_function(drag, "torque", 2)
-    np.testing.assert_allclose(np.linalg.norm(made.usual[:, 1:5], axis=1), 1.0, rtol=1e-15)
-
-
 def test_known_numbers_that_python_refuses():
     def function(t, p):
         return t / p[0], 1.0 / p[0], p[1]
@@ -265,14 +213,6 @@ def test_known_numbers_that_python_refuses():
 
 def nothing(t, p):
     pass
-
-
-def unknown_name(t, p):
-    return (
-        t,
-        nowhere(t),  # noqa: F821
-        t,
-    )
 
 
 def calls_unknown(t, p):
@@ -291,23 +231,10 @@ def misnamed(t, p):
 @pytest.mark.parametrize(
     ("function", "argument", "message"),
     [
-        (lambda t, p: (t, t), "rate", "a result that is tuple of 2; accepted: 3 numbers, rad/s"),
-        (lambda t, p: t, "rate", "a result that is float; accepted: 3 numbers, rad/s"),
-        (
-            lambda t, p: np.array([t, t]),
-            "rate",
-            "a result that is ndarray of 2; accepted: 3 numbers",
-        ),
         (lambda t, p: [t, t, t, t], "rate", "a result that is list of 4; accepted: 3 numbers"),
         (lambda t, p: (t, 1j * t, t), "rate", "arithmetic with complex .*; and not compiled: "),
         (lambda t, q, p: (t, t, t), "potential", "tuple of 3; accepted: 1 numbers, J"),
         (nothing, "rate", "a result that is NoneType; accepted: 3 numbers"),
-        (
-            unknown_name,
-            "rate",
-            "p of 2 numbers, is not followed: an error on every path",
-        ),
-        (lambda t: (t, t, t), "rate", r"found <lambda>\(t\); accepted: rate\(t, p\)"),
         (lambda t, p: p[2:5], "rate", "a result that is tuple of 0; accepted: 3 numbers"),
         (calls_unknown, "rate", r"isqrt.*isqrt\(t\), t, t\); and not compiled: Unknown attribute"),
         (raises, "rate", "is not followed: an error on every path"),
