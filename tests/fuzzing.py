@@ -2,13 +2,12 @@
 
 A call passes when it gives back finite numbers and unit attitudes, of each body with status 0, or
 refuses in one line that names an argument. Anything else is a finding: another exception, a warning
-but ``StepWarning``, ``GyroLogWarning`` and that of a status, more than 5 s.
+but ``StepWarning`` and that of a status, more than 5 s.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-import gzip
 import math
 import random
 import re
@@ -20,7 +19,6 @@ from fractions import Fraction
 import numpy as np
 
 import fastatt as fa
-from fastatt.gyro import GyroLog, GyroLogWarning
 
 SLOW = 20.0  # s of the processor, in which a call of theirs returns or is refused on any machine
 SPECIAL = (
@@ -69,20 +67,6 @@ WORDS = (
     "", "RK4", "rk4 ", "rk4\n", "quat", "output", "body", "hold", "\u2028", "x" * 5000, b"rk4", 4,
     None, ("rk4",), ["rk4"], True, Anything, {}, np.str_("rk4"),
 )  # fmt: skip
-HEADS = (
-    b"t_ms,Gyr_X (deg/s),Gyr_Y (deg/s),Gyr_Z (deg/s)", b"// Sample rate: 50.0Hz\nPacket,wx,wy,wz",
-    b"timestamp us,gyro x [mdps],gyro y [mdps],gyro z [mdps]", b",gx\xe2\x80\xa8,gy\x0b,gz",
-    b"# note\ntime [ns],omega_x,omega_y,b",
-)  # fmt: skip
-LOGS = (
-    b"", b"\x00", b"\n", b"\x00" * 300, b"\xff\xfe", b"\xef\xbb\xbf", b"1", b"1,2,3",
-    b"1,2,3\n" * 2, b"nan,nan,nan\n", b"1e999,1,1\n", b",,,\n,,,\n", b"#\n" * 50,
-    b'"1","2","3"\n', b"1;2;3\r1;2;3", b"1\n2\n3\n", b"\x1f\x8b" + bytes(40), b"1,2,3\n# end",
-    b"1_0,2,3\n", b"0x1p3,2,3\n", "١,٢,٣\n".encode(), b"1e308,-1e308,1e308\n" * 3,
-    b"wx,wy,wz\n", b"a" * 100_000, b"1," * 20_000 + b"1\n",
-    b"t,wx,wy,wz\n-1e308,0,0,0\n1e308,0,0,0\n", b"t,wx,wy,wz\n0,0,0,0\n5e-324,0,0,0\n",
-    b"t_ns,wx,wy,wz\n0,0,0,0\n1e-320,0,0,0\n", b"t,wx,wy,wz\n1,0,0,0\n1.0000000000000001,0,0,0\n",
-)  # fmt: skip
 DRESSES = (
     lambda x: x.astype(np.float32),
     lambda x: x.astype(np.float16),
@@ -120,8 +104,6 @@ class Draw:
         """Something of about the kind of a good value, or of no kind."""
         if self.random.random() < 0.1:
             return self.one(ODD)
-        if isinstance(good, bytes):
-            return self.log(good)
         if isinstance(good, str):
             return self.one(WORDS)
         if isinstance(good, int):
@@ -165,23 +147,6 @@ class Draw:
             return self.one((x, x.tolist()))
         return self.one(DRESSES)(x)
 
-    def log(self, good):
-        """A file of some dialect with a few bytes changed, or no log at all."""
-        if self.random.random() < 0.2:
-            return self.one((self.one(LOGS), self.rng.bytes(self.random.randrange(300))))
-        x = bytearray(good.replace(good.partition(b"\n")[0], self.one(HEADS)))
-        x = x.replace(b",", self.one((b",", b",", b";", b"\t")))
-        x = x.replace(b"\n", self.one((b"\n", b"\n", b"\r\n", b"\r")))
-        for _ in range(self.one((0, 1, 1, 2, 5))):
-            first = self.random.randrange(len(x) + 1)
-            last = first + self.one((0, 1, 1, 3, 20))
-            x[first:last] = self.one((
-                b"", b",", b"\n", b'"', b"\x00", b"#", b"-", b"e", b"nan", b"\r", b"\t",
-                2 * x[first:last], self.rng.bytes(last - first), self.one(LOGS)[:50],
-            ))  # fmt: skip
-        encoded = x.decode("utf-8", "replace").encode(self.one(("utf-8-sig", "utf-16")))
-        return self.one((bytes(x), bytes(x), bytes(x), encoded, gzip.compress(x)))
-
 
 # what is wrong with a result, or None
 
@@ -192,8 +157,6 @@ def wrong_with(result, given):
     if isinstance(result, fa.Scene):
         finite = np.isfinite(result.packed(None).params).all()
         return None if finite else "parameters not finite"
-    if isinstance(result, GyroLog):
-        return wrong_with_log(result)
     if isinstance(result, tuple):  # a closed form's: squares of momenta overflow, and angles
         fastest, last = (float(np.abs(np.array(given[x], float)).max()) for x in ("w0", "t"))
         is_lost = fastest > 1e50 or fastest * last > 1e16
@@ -223,17 +186,6 @@ def wrong_with_run(run, *, is_raw):
     return wrong_with_attitudes(q[:, fine], 1e-2 if is_raw else None)
 
 
-def wrong_with_log(log):
-    n, dt = len(log.rates), np.asarray(log.dt)
-    if log.rates.shape != (n, 3) or not np.isfinite(log.rates).all():
-        return "rates not finite"
-    if not (np.isfinite(dt).all() and (dt > 0.0).all()) or dt.shape not in ((), (n - 1,)):
-        return "intervals not finite or not above 0"
-    if log.t.shape != (n,) or not np.isfinite(log.t).all():
-        return "times not finite"
-    return None if log.rate > 0.0 else "sample rate not above 0"
-
-
 def wrong_with_refusal(error, names):
     text = str(error)
     if isinstance(error, OSError):
@@ -261,9 +213,8 @@ def tried(function, given, names):
         else:
             outcome, wrong = "returned", wrong_with(result, given)
     took = time.process_time() - began
-    expected = fa.StepWarning, GyroLogWarning
     for w in said:
-        if not (issubclass(w.category, expected) or str(w.message).startswith("status: ")):
+        if not (issubclass(w.category, fa.StepWarning) or str(w.message).startswith("status: ")):
             wrong = wrong or f"{w.category.__name__}: {str(w.message)[:60]!r}"
     if took > SLOW:
         wrong = wrong or f"takes {took:.0f} s"

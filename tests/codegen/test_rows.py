@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import functools
-import operator
 
 import numpy as np
 import pytest
 from each import each
 
-from fastatt.codegen import lanes
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import RowFunction, rows
@@ -208,27 +205,3 @@ def test_made_once(monkeypatch):
     for n in (1, 5, 100):
         made(np.ones(n))
     assert sorted(calls) == ["c", "t"]
-
-
-def test_the_module_does_not_depend_on_addresses(monkeypatch):
-    """What is kept on disk serves the next process."""
-    made = []
-    monkeypatch.setattr(lanes, "generated", lambda text, *_: made.append((text, _[-1])))
-    for swap in (Opaque(), Opaque()):
-        called = functools.partial(functions.opaque, swap, 2)
-        made_now = RowFunction(lambda x, f=called: f((x[0], x[1]), x[0]), {"x": 2}, (2,))
-        with pytest.raises(AttributeError, match="address"):
-            made_now(np.ones(2))
-    assert operator.eq(*made)
-
-
-# refusals
-
-
-def test_refusals():
-    made = rows(blend, SHAPE, OUTPUTS)
-    q, v, t = given((4,), (4,), (4,))
-    with pytest.raises(ValueError, match=r"v: has shape \(4, 4\); accepted: \(..., 3\)"):
-        made(q, q, t)
-    with pytest.raises(ValueError, match="broadcast"):
-        made(q, v[:3], t)

@@ -260,14 +260,6 @@ def test_the_sign_of_zero_counts():
     assert source.function(flat)(3.0, 5.0) == (math.inf, -math.inf)
 
 
-def test_a_product_used_twice_is_not_fused():
-    graph, x, y = numbers()
-    z = x * y
-    flat = Flat(graph, [z + x, z - y], "double")
-    assert sorted(n.op for n in flat.nodes) == ["*", "+", "-", "in", "in"]
-    assert flat.operations == 3
-
-
 def test_nested_conditions_choose_once():
     """As execution paths are merged: a if both hold, else b."""
     graph = Graph()
@@ -346,17 +338,6 @@ def test_text():
     assert str(source.GraphText(flat)) == (
         "t1 = x0 * p0 + x1\nt2 = where(t1 < p1, -t1, 1.0)\nt3 = (t1 + 2.0) / x1\nreturn t2, t3"
     )
-
-
-def test_expressions_are_nested_to_a_depth():
-    graph, x, y = numbers()
-    z = x
-    for _ in range(12):
-        z = (z + y) / y
-    *lines, last = str(source.GraphText(Flat(graph, [z], "double"))).splitlines()
-    assert last == "return t5"
-    operations = [sum(map(line.count, "+/")) for line in lines]
-    assert operations == [5, 5, 5, 5, 4]
 
 
 def test_tables_and_opaque_functions():
