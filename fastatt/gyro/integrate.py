@@ -151,6 +151,8 @@ def of_log(rates: Any, dt: Any, increments: bool) -> tuple[Any, Any]:
 
 def are_means(rates: Any, dt: Any) -> bool:
     """Whether there is an interval for each of the rates, which are then means over them."""
+    if dt is None:
+        return False
     spans = checks.numbers("dt", dt, "a number or (n,)")
     values = checks.numbers("rates", rates, "(n, 3) or (N, n, 3)")
     return spans.ndim == 1 and values.ndim > 1 and values.shape[-2] == len(spans)

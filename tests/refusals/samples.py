@@ -150,7 +150,7 @@ REFUSED = [
     ("dt: has shape (18,); accepted: a number or (19,)", integrated(dt=SPANS[:-1])),
     ("dt: has shape (19,); accepted: a number or (", integrated(dt=SPANS, increments=True)),
     ("dt[4] is nan", spans(4, NAN)),
-    ("dt: found [0.1, [None]]; accepted: real numbers", integrated(dt=[0.1, [None]]), TypeError),
+    ("dt: found [0.1, [None]]; accepted: a number or", integrated(dt=[0.1, [None]]), TypeError),
     ("rates: found [[1, 2, 3], [1]]; accepted", integrated([[1, 2, 3], [1]], [0.1]), TypeError),
     ("dt[4] is 0.0: a repeated time stamp", spans(4, 0.0)),
     ("dt[18] is -0.1: a decreasing time stamp", spans(18, -0.1)),
