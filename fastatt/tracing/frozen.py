@@ -66,7 +66,9 @@ def place(file: str, line: int) -> str:
 
 def plain(function: Any) -> Any:
     """The function, and of a jitted one that which Numba compiles."""
-    return function.py_func if is_jitted(function) else function
+    # of an object that computes its attributes, ``__class__`` too
+    is_known = _function_in(type(function), "__getattribute__") is None
+    return function.py_func if is_known and is_jitted(function) else function
 
 
 def inner_of(function: Any) -> Any:
@@ -82,15 +84,17 @@ def inner_of(function: Any) -> Any:
 
 def signature_of(function: Any) -> inspect.Signature:
     """The arguments of a function; none of one that does not tell them."""
+    bound = types.MethodType(inner_of(function), function) if _computes(function) else function
     try:
-        return inspect.signature(plain(function))
+        return inspect.signature(plain(bound))
     except (TypeError, ValueError):
         return inspect.Signature()
 
 
 def name_of(function: Any) -> str:
     """The name of a function, also of a partial or an object."""
-    return str(getattr(function, "__name__", getattr(inner_of(function), "__name__", "function")))
+    named = inner_of(function) if _computes(function) else function
+    return str(getattr(named, "__name__", getattr(inner_of(function), "__name__", "function")))
 
 
 def codes_of(code: types.CodeType) -> Iterator[types.CodeType]:
@@ -167,11 +171,22 @@ def is_source(value: Any) -> bool:
     """Whether it gives other values at each call: a generator, a clock, an iterator."""
     if isinstance(value, types.ModuleType):
         return value.__name__ in _SOURCES
-    of = getattr(value, "__self__", None) if callable(value) else None
-    classes = [x if isinstance(x, type) else type(x) for x in (value, of)]
-    where = {x.__module__ for x in classes} | {str(getattr(value, "__module__", "") or "")}
+    of = () if _computes(value) or not callable(value) else (getattr(value, "__self__", None),)
+    where = {x.__module__ if isinstance(x, type) else type(x).__module__ for x in (value, *of)}
+    where.update(str(getattr(value, "__module__", "") or "") for _ in of)
     of_source = any(x in _SOURCES or x.startswith("numpy.random") for x in where)
     return of_source or hasattr(type(value), "__next__")
+
+
+def _function_in(cls: type, name: str) -> types.FunctionType | None:
+    """A Python function of a class, None if there is none of that name."""
+    found = inspect.getattr_static(cls, name, None)
+    return found if isinstance(found, types.FunctionType) else None
+
+
+def _computes(value: Any) -> bool:
+    """Whether functions of the user's give its attributes."""
+    return any(_function_in(type(value), x) for x in ("__getattr__", "__getattribute__"))
 
 
 # values that are read and not written
@@ -191,6 +206,9 @@ _LIST = _unwritten(
 _DICT = _unwritten(dict, "update setdefault pop popitem clear __setitem__ __delitem__ __ior__")
 
 
+_NOTHING = object()
+
+
 class Held:
     """An object, class or module as it is now: it is read, but not written."""
 
@@ -201,13 +219,21 @@ class Held:
         object.__setattr__(self, "_freezer", freezer)
 
     def __getattr__(self, name: str) -> Any:
-        of, freezer = self.of, self._freezer
-        held = inspect.getattr_static(type(of), name, None)
-        if isinstance(held, (property, functools.cached_property)):
-            get = held.fget if isinstance(held, property) else held.func
-            return freezer.function(get)(self)
-        if isinstance(held, types.FunctionType) and name not in getattr(of, "__dict__", ()):
+        of, freezer, cls = self.of, self._freezer, type(self.of)
+        held, own = (inspect.getattr_static(x, name, _NOTHING) for x in (cls, of))
+        if _function_in(cls, "__getattribute__"):
+            raise TraceError(f"an attribute of a {cls.__name__}, which has __getattribute__")
+        if own is _NOTHING and (get := _function_in(cls, "__getattr__")):
+            return freezer.function(get)(self, name)
+        if own is held and isinstance(held, types.FunctionType):
             return types.MethodType(freezer.function(held), self)
+        if own is held and (get := getattr(held, "fget", getattr(held, "func", None))):
+            return freezer.function(get)(self)
+        get, of_class = _function_in(type(own), "__get__"), isinstance(of, type) and own is not held
+        is_ours = get and (own is held or of_class) and not isinstance(own, enum.property)
+        if is_ours and not is_jitted(own):
+            given = (None, self) if of_class else (self, freezer(cls))
+            return freezer.function(get)(freezer(own), *given)
         return freezer(getattr(of, name))
 
     def __call__(self, *args: Any, **named: Any) -> Any:
@@ -231,6 +257,16 @@ for _name in ("setitem", "delitem", "setattr", "delattr"):
     setattr(Held, f"__{_name}__", _written)
 
 
+def _held_as(base: type) -> type:
+    """Numbers or texts of a class of the user's, whose further attributes are those of ``Held``."""
+    return type(base.__name__, (base,), {
+        "__getattr__": Held.__getattr__, "__setattr__": _written, "__delattr__": _written,
+    })  # fmt: skip
+
+
+_HELD_AS: dict[Any, Any] = {x: _held_as(x) for x in (int, float, complex, str, tuple)}
+
+
 class Freezer:
     """Makes frozen values; one object stays one.
 
@@ -244,7 +280,7 @@ class Freezer:
 
     def __call__(self, value: Any) -> Any:
         """The frozen value."""
-        if value is None or type(value) in _CONSTANTS or isinstance(value, enum.Enum):
+        if value is None or type(value) in _CONSTANTS:
             return value
         if id(value) not in self._made:
             self._made[id(value)] = self._frozen(value), value  # it is kept alive
@@ -259,28 +295,37 @@ class Freezer:
             return self.function(plain(value))
         if isinstance(value, np.generic):
             return value.item()
-        if isinstance(value, (int, float, complex, str)):
-            return value
         if isinstance(value, tuple):
-            made = [self(x) for x in value]
-            return type(value)(*made) if hasattr(value, "_fields") else tuple(made)
+            made = tuple(map(self, value))
+            is_plain = hasattr(type(value), "_fields") and not _has_functions(type(value))
+            if is_plain or type(value) is tuple:
+                return type(value)(*made) if is_plain else made
+            return self._held_as(value, made)
+        if isinstance(value, (int, float, complex, str)):
+            return self._held_as(value, value)
         if isinstance(value, list):
             return _LIST(map(self, value))
         if isinstance(value, dict):
-            return _DICT((k, self(x)) for k, x in value.items())
+            return _DICT((self(k), self(x)) for k, x in value.items())
         if isinstance(value, (set, frozenset)):
-            return frozenset(value)
+            return frozenset(map(self, value))
         if isinstance(value, functools.partial):
             named = {k: self(x) for k, x in value.keywords.items()}
             return functools.partial(self(value.func), *map(self, value.args), **named)
         if isinstance(value, types.MethodType):
             return types.MethodType(self(value.__func__), self(value.__self__))
-        if hasattr(value, "cache_info"):
+        if isinstance(value, type(_instructions)):  # one that keeps its results
             return self(value.__wrapped__)
         is_plain = isinstance(value, type) and issubclass(value, (BaseException, tuple, np.generic))
-        if is_plain or any(value is x for x in _CLASSES):
+        if (is_plain and not _has_functions(value)) or any(value is x for x in _CLASSES):
             return self._scope["__builtins__"].get(value.__name__, value)
-        return unknown(value) if isinstance(value, types.BuiltinFunctionType) else Held(value, self)
+        return unknown(value) if isinstance(value, _OF_C) else Held(value, self)
+
+    def _held_as(self, value: Any, made: Any) -> Any:
+        base, cls = next((x, cls) for x, cls in _HELD_AS.items() if isinstance(value, x))
+        held: Any = base.__new__(cls, made)
+        held.__dict__.update(of=value, _freezer=self)
+        return held
 
     def function(self, function: types.FunctionType) -> Any:
         """The function with frozen globals, closure and defaults."""
@@ -320,6 +365,19 @@ def _is_library(value: Any) -> bool:
     return str(name).partition(".")[0] in ("numpy", "numba", "scipy")
 
 
+def _has_functions(cls: type) -> bool:
+    """Whether a class has functions that its author wrote, such as methods of a named tuple."""
+    written = (
+        (getattr(x, "fget", getattr(x, "__func__", x)), c)
+        for c in cls.__mro__
+        for x in vars(c).values()
+    )
+    return any(
+        isinstance(x, types.FunctionType) and x.__module__ == c.__module__ for x, c in written
+    )
+
+
+_OF_C = (types.BuiltinFunctionType, types.MethodWrapperType)
 _CONSTANTS = (bool, int, float, complex, str)
 _CLASSES = (bool, int, float, complex, str, list, tuple, dict, set, frozenset, np.ndarray, object)
 

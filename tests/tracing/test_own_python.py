@@ -1,6 +1,9 @@
 """Functions of users beside the users' own functions, whatever their values are."""
 
 import dataclasses
+import enum
+import time
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -168,3 +171,126 @@ def test_a_loop_without_an_end_is_no_number():
     made = user_function(torque, "torque", 0)
     assert made.call(4.0, *POINTS[0][1:])[0] == 4.0
     assert np.isnan(made.call(6.0, *POINTS[0][1:])).all()
+
+
+# attributes that functions of the user's give
+
+
+class Colour(enum.Enum):
+    RED = 2.0
+    BLUE = 0.5
+
+    def doubled(self):
+        return 2.0 * self.value
+
+    def now(self):
+        return time.time()
+
+
+class Level(enum.IntEnum):
+    LOW = 1
+    HIGH = 3
+
+    def now(self):
+        return time.time()
+
+
+class Row(NamedTuple):
+    a: float
+    b: float
+
+    @property
+    def total(self):
+        return self.a + self.b
+
+    def now(self):
+        return time.time()
+
+
+class Gain(float):
+    def now(self):
+        return time.time()
+
+
+class Clock:
+    def __get__(self, owner, cls):
+        return time.time()
+
+
+class Twice:
+    def __get__(self, owner, cls):
+        return 2.0 * cls.k
+
+
+class Box:
+    k, now, twice = 0.25, Clock(), Twice()
+
+    def __getattr__(self, name):
+        return {"gain": 3.0}[name]
+
+
+class Late:
+    def __getattr__(self, name):
+        return time.time()
+
+
+class Computed:
+    def __getattribute__(self, name):
+        return time.time()
+
+
+COLOUR, LEVEL, ROW, GAIN = Colour.RED, Level.HIGH, Row(1.0, 2.0), Gain(4.0)
+BOX, LATE, COMPUTED = Box(), Late(), Computed()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        lambda: (COLOUR is Colour.RED) * COLOUR.value + 3.0 * (COLOUR == Colour.BLUE),
+        lambda: {Colour.RED: 0.1, Colour.BLUE: 0.2}[COLOUR] + (COLOUR in {Colour.RED, Colour.BLUE}),
+        lambda: Colour["BLUE"].doubled() + len(COLOUR.name),
+        lambda: LEVEL * 0.5 + (LEVEL > Level.LOW) + LEVEL.value,
+        lambda: ROW.total + ROW[0] * ROW.b + sum(ROW),
+        lambda: 2.0 * GAIN + BOX.gain + BOX.k + BOX.twice + Box.twice,
+    ],
+)
+def test_values_with_functions_are_followed(value):
+    made = user_function(lambda t, q, w, p: (value() * w[0], 0.0, 0.0), "torque", 0)
+    assert made.followed, made
+    assert made.call(*POINTS[0])[0] == pytest.approx(value() * POINTS[0][2][0], rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *(lambda: COLOUR.now(), lambda: LEVEL.now(), lambda: ROW.now(), lambda: GAIN.now()),
+        *(lambda: BOX.now, lambda: Box.now, lambda: LATE.time, lambda: COMPUTED.k),
+        *(lambda: Row(1.0, 2.0).now(), lambda: halved(BOX.now), lambda: halved(LEVEL.now())),
+    ],
+)
+def test_no_clock_is_read_once(value):
+    with pytest.raises(
+        TypeError, match=r"may differ from call to call|; and not compiled: a (type|Computed)"
+    ):
+        user_function(lambda t, q, w, p: (1e-10 * value() - w[0], 0.0, 0.0), "torque", 0)
+
+
+class Refuses:
+    """Raises whatever it is asked for."""
+
+    def __init__(self, error):
+        self.__dict__["error"] = error
+
+    def __getattr__(self, name):
+        raise self.error
+
+    def __call__(self, t, q, w, p):
+        return -0.2 * w[0], 0.0, 0.0
+
+
+@pytest.mark.parametrize("error", [KeyError("x"), AttributeError("x"), RuntimeError("x")])
+def test_an_object_may_raise_anything(error):
+    thing = Refuses(error)
+    assert user_function(thing, "torque", 0).call(*POINTS[0])[0] == pytest.approx(-0.06)
+    with pytest.raises(TypeError, match=r"^torque: .*; and not compiled: a Refuses"):
+        user_function(lambda t, q, w, p: (thing.k, 0.0, 0.0), "torque", 0)
