@@ -9,7 +9,6 @@ refused. Samples that a logger lost are counted by the intervals.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,38 +42,42 @@ def in_order(
     ``rates`` (n, 3) in rows without numbers. ``jumps`` (n,) are rows before which packets are
     missing.
     """
-    usable = np.isfinite(t) & np.isfinite(rates).all(axis=1)
+    usable = np.logical_and.reduce([np.isfinite(x) for x in (t, *rates.T)])
     rows = np.flatnonzero(usable)
     s = t[rows]
-    shared = _shared(s, rates[rows])
-    if shared.any():
+    shared = _shared(s, rates, rows)
+    if len(shared):
         raise table.error(
-            f"{clock[:60]}: {shared.sum()} rows share the stamp of the row before, the first in "
-            f"{table.place(rows[np.argmax(shared)])}: packets, or stamps too coarse for the rate; "
+            f"{clock[:60]}: {len(shared)} rows share the stamp of the row before, the first in "
+            f"{table.place(shared[0])}: packets, or stamps too coarse for the rate; "
             "accepted: increasing time stamps, or rate= in their place"
         )
-    longest = GAP * _usual(s) if max_gap is None else max_gap
+    steps = np.diff(s)
+    longest = GAP * _usual(steps) if max_gap is None else max_gap
     kept = _without_outliers(s)
     s, rows = s[kept] - s[kept][:1], rows[kept]
-    steps = _since_before(s)
-    resets = rows[1:][steps[1:] <= 0.0]
+    steps = np.diff(s)
+    resets = rows[1:][steps <= 0.0]
     if resets.size:
         raise table.error(
             f"{clock[:60]} in {table.place(resets[0])} is decreasing, and the clock goes on "
             "from there; accepted: a log of one clock, or rate= in place of time stamps"
         )
-    _refuse_bursts(table, clock, steps[1:])
-    gaps = (steps > longest) | (_since_before(np.cumsum(jumps)[rows]) > 0)
-    kinds = {"rows dropped": np.delete(np.arange(len(t)), rows), "gaps": rows[gaps]}
-    since = np.append(0.0, s)[np.searchsorted(rows, np.arange(len(t)))]  # of the sample before
-    said = [_said(table, kind, bad, since) for kind, bad in kinds.items() if bad.size]
+    _refuse_bursts(table, clock, steps)
+    gaps = steps > longest
+    if jumps.any():
+        gaps |= np.diff(np.cumsum(jumps)[rows]) > 0
+    dropped = np.delete(np.arange(len(t)), rows) if len(rows) < len(t) else rows[:0]
+    kinds = {"rows dropped": dropped, "gaps": rows[1:][gaps]}
+    since = {kind: np.append(0.0, s)[np.searchsorted(rows, bad)] for kind, bad in kinds.items()}
+    said = [_said(table, kind, bad, since[kind]) for kind, bad in kinds.items() if bad.size]
     if on_bad_rows == "refuse" and any(bad.size for bad in kinds.values()):
         k, kind = min((int(bad[0]), kind) for kind, bad in kinds.items() if bad.size)
         what = ", or a number beside it, overflows; accepted: finite numbers"
         if usable[k]:
             what = _what(kind, t[: k + 1], longest)
         raise table.error(f"{clock[:60]} in {table.place(k)}{what}")
-    return s, rows, _lost(table, s, rows) + said
+    return s, rows, _lost(table, s, steps, rows) + said
 
 
 def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
@@ -92,16 +95,19 @@ def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
         )
 
 
-def _lost(table: Table, s: Floats, rows: NDArray[np.int64]) -> list[str]:
+def _lost(table: Table, s: Floats, steps: Floats, rows: NDArray[np.int64]) -> list[str]:
     """What is said of samples that are missing between successive rows; warns of many in holes.
 
     Of gaps, which are accepted by an argument, is not warned.
     """
-    steps, usual = np.diff(s), _usual(s)
-    holes = np.flatnonzero((steps > 1.5 * usual) & (np.diff(rows) == 1))
+    usual = _usual(steps)
+    holes = np.flatnonzero(steps > 1.5 * usual)
+    holes = holes[rows[holes + 1] - rows[holes] == 1]
+    if not holes.size:
+        return []
     missing = np.round(steps[holes] / usual) - 1.0
     # late stamps are followed by short intervals; coarse ones stay beside even times
-    count = min(missing.sum(), np.round(s[-1] / usual) - len(steps)) if holes.size else 0.0
+    count = min(missing.sum(), np.round(s[-1] / usual) - len(steps))
     even = np.linspace(s[0], s[-1], len(s))
     if count < 1.0 or (len(holes) > 0.1 * len(s) and np.abs(s - even).max() < 2.0 * usual):
         return []
@@ -119,30 +125,29 @@ def _lost(table: Table, s: Floats, rows: NDArray[np.int64]) -> list[str]:
     return [text]
 
 
-def _since_before(x: NDArray[Any]) -> NDArray[Any]:
-    """Differences to the numbers before, 0 for the first one."""
-    return np.diff(x, prepend=x[:1])
-
-
 def _said(table: Table, kind: str, rows: NDArray[np.int64], since: Floats) -> str:
-    """The number of rows of a kind, and where the first ones are."""
-    some = [f"{table.place(k)} at {since[k]:.6g} s" for k in rows[:_SHOWN].tolist()]
+    """The number of rows of a kind, and where the first ones are, by the times before them."""
+    shown = zip(rows[:_SHOWN].tolist(), since, strict=False)
+    some = [f"{table.place(k)} at {before:.6g} s" for k, before in shown]
     kind = kind if len(rows) > 1 else re.sub(r"s\b", "", kind)
     return f"{len(rows)} {kind}: {', '.join([*some, '...'][: len(rows)])}"
 
 
-def _usual(s: Floats) -> float:
+def _usual(steps: Floats) -> float:
     """The median of the intervals above 0; infinite without one."""
-    steps = np.diff(s)
-    return float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
+    ahead = steps[steps > 0.0]
+    return float(np.median(ahead)) if ahead.size else np.inf
 
 
-def _shared(s: Floats, rates: Floats) -> Flags:
-    """Which rows share the stamp of the row before and do not repeat it, unless these are few."""
-    differs = np.ones(len(s), dtype=bool)
-    differs[1:] = (rates[1:] != rates[:-1]).any(axis=1)
-    shared = differs & (np.diff(s, prepend=np.nan) == 0.0)
-    return shared if shared.sum() >= max(3.0, _SHARED * len(s)) else np.zeros_like(shared)
+def _shared(s: Floats, rates: Floats, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows that share the stamp of the row before and do not repeat it, unless these are few.
+
+    ``s`` are the stamps of ``rows``, ``rates`` are those of all rows.
+    """
+    equal = np.flatnonzero(np.diff(s) == 0.0)
+    shared: NDArray[np.int64] = rows[equal + 1]
+    shared = shared[(rates[shared] != rates[rows[equal]]).any(axis=1)]
+    return shared if len(shared) >= max(3.0, _SHARED * len(s)) else shared[:0]
 
 
 def _without_outliers(s: Floats) -> Flags:

@@ -48,7 +48,7 @@ class Table:
     places: NDArray[np.int64]  # of the rows
     row: str = "row"  # what a place is called
     rates: tuple[float, ...] = ()  # sample rates in lines before the numbers, Hz
-    lengths: dict[int, int] = field(default_factory=dict)  # of lines of another length
+    damage: dict[int, str] = field(default_factory=dict)  # of lines that are no rows
     keep: Any = ...  # which rows are read
 
     def read(
@@ -65,9 +65,9 @@ class Table:
         tells them apart, [] all. ``strict`` refuses a row without a stamp, or without a number in
         the group "gyro".
         """
-        keep = np.ones(len(self.places), dtype=bool)
-        for i, text in chosen or ():
-            keep &= _texts(self.arrays[i]) == text
+        keep: Any = slice(None)
+        if chosen:
+            keep = np.all([_texts(self.arrays[i]) == text for i, text in chosen], axis=0)
         self.places = self.places[keep]
         if not self.places.size:
             row = f"rows: found no row with {chosen[0][1]!r}" if chosen else "found no sample"
@@ -82,16 +82,18 @@ class Table:
             used = {i for group in wanted.values() for i in group} | {*clock, *dict(chosen or ())}
             self._refuse_kinds(used, keep, stamps_of_rows)
         values = {
-            name: np.column_stack([_numbers(self.arrays[i][keep], "float") for i in group])
+            name: np.stack(
+                [_numbers(self.arrays[i][keep], "float") for i in group], 1, dtype=np.float64
+            )
             for name, group in wanted.items()
             if group
         }
-        bad = np.column_stack([np.isnan(values["gyro"]), *(~stamps.valid(x) for x in times)])
-        if strict and bad.any():
-            row, k = np.argwhere(bad)[0]
+        bad = [np.isnan(values["gyro"]), *(~stamps.valid(x)[:, None] for x in times)]
+        if strict and any(x.any() for x in bad):
+            row, k = np.argwhere(np.hstack(bad))[0]
             i, how = [*wanted["gyro"], *clock][k], [*["float"] * 3, *hows][k]
             raise self.error(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
-        return {name: x.astype(np.float64) for name, x in values.items()}, stamps_of_rows
+        return values, stamps_of_rows
 
     def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
         """The time stamps of the rows that were read; None for no column."""
@@ -105,19 +107,14 @@ class Table:
 
     def _wrong(self, place: int, i: int, how: str, cell: object) -> str:
         """What is wrong with a cell."""
-        if place in self.lengths:
-            return (
-                f"{self.row} {place}: found {self.lengths[place]} columns; accepted: "
-                f"{len(self.arrays)}, as in the first row"
-            )
+        if place in self.damage:
+            return f"{self.row} {place}: {self.damage[place]}"
         return (
-            f"{self.row} {place}: {self.column(i)[:60]} is {str(cell)!r:.60}; accepted: "
+            f"{self.row} {place}: {self.column(i)[:60]} is {str(cell).strip()!r:.60}; accepted: "
             f'{_MEANT[how]}, or on_bad_rows="drop"'
         )
 
-    def _refuse_kinds(
-        self, used: set[int], keep: NDArray[np.bool_], s: NDArray[Any] | None
-    ) -> None:
+    def _refuse_kinds(self, used: set[int], keep: Any, s: NDArray[Any] | None) -> None:
         """Refuse rows of several kinds or sensors, with the column that tells them apart.
 
         It is known by its name, has text that is no time, or its values have a clock each, ``s``
@@ -283,15 +280,16 @@ def _numbers(array: Cells, how: stamps.Kind) -> Cells:
     kind = array.dtype.kind
     if kind in "mM":
         return array.astype(f"{kind}8[ns]").view(np.int64)
-    if kind in "iu" and (not array.size or int(np.abs(array).max()) < 2**63):
-        return array.astype(np.int64)
+    if kind == "i" or (kind == "u" and (not array.size or array.max() < 2**63)):
+        return array.astype(np.int64, copy=False)
     if how != "float":
         return stamps.from_text(how, _texts(array).tolist())
     if kind in "OUST":
         array = np.fromiter(map(stamps.number, array.tolist()), np.float64)
     elif kind not in "uf":
         array = np.full(array.shape, np.nan)
-    return np.where(np.isfinite(array), array, np.nan).astype(np.float64)
+    array = array.astype(np.float64, copy=False)
+    return array if np.isfinite(array).all() else np.where(np.isfinite(array), array, np.nan)
 
 
 def _texts(array: Cells) -> Cells:

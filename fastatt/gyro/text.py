@@ -8,11 +8,13 @@ import io
 import math
 import re
 import sys
+import warnings
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,15 @@ from fastatt.gyro.log import GyroLogError
 from fastatt.gyro.tables import Table
 
 _HEAD = 1000  # lines within which the numbers must begin
+_LONGEST = 10_000_000  # letters of a line
+# the first bytes of files that are no text
+_OTHER_FILES = {
+    b"PK\3\4": "a ZIP archive; accepted: the table in it, unpacked",
+    b"ULog": "PX4's ULog; accepted: its tables, which ulog2csv writes",
+    b"\xa3\x95": "ArduPilot's DataFlash; accepted: its tables, which mavlogdump.py writes",
+    b"\xff\xfe": "UTF-16 text; accepted: text in UTF-8",
+    b"\xfe\xff": "UTF-16 text; accepted: text in UTF-8",
+}
 _RATE = re.compile(
     r"((gyro\w*|imu)[ _])?((sample|update)[ _]?rate|sampling[ _]?(rate|frequency))"
     r"([ _]*[(\[]hz[)\]])?[\s:=,;\"']+(?P<rate>\d+(\.\d*)?(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
@@ -32,68 +43,177 @@ _RATE = re.compile(
 _COMMENTS = ("#", "//", "%")
 # at the begin of a cell; a sign inside a number is damage
 _COMMENT = re.compile(r"(?:(?<! ) +|(?<![^\s,;]))(#|//|%)[^\n]*")
-_QUOTE = re.compile(r'(?<![^\s,;#"])"|"(?![^\s,;"])')  # at the begin or the end of a cell
+_QUOTE = re.compile(r'(?<![^\s,;#])"|"(?![^\s,;"])')  # at the begin or the end of a cell
 
 
 def from_text(source: Any) -> Table:
+    """The table of a path, of standard input, "-", or of an open file; from gzip too."""
+    name, file = _opened(source)
+    with file:
+        try:
+            return _table(name, file)
+        except GyroLogError as error:
+            raise GyroLogError(f"{name}: {error}") from None
+
+
+def _opened(source: Any) -> tuple[str, BinaryIO]:
+    """A name, and a file in which one can go back."""
+    if isinstance(source, (str, PathLike)) and source != "-" and "\0" not in str(source):
+        if Path(source).is_dir():
+            raise GyroLogError(f"source: found the directory {source}; accepted: a file")
+        file: BinaryIO = Path(source).open("rb")  # noqa: SIM115
+        return str(source), file if file.seekable() else io.BytesIO(file.read())
+    name = str(getattr(source, "name", "the file"))
+    if isinstance(source, str) and source == "-":
+        name, source = "standard input", sys.stdin
+    if not hasattr(source, "read"):
+        raise TypeError(
+            f'source: found {checks.brief(source)}; accepted: a file\'s name, "-", an open file, a '
+            "data frame or a data set"
+        )
+    data = getattr(source, "buffer", source).read()
+    return name, io.BytesIO(data.encode() if isinstance(data, str) else data)
+
+
+def _table(name: str, file: BinaryIO) -> Table:
     """The table of a text: its first lines, then its rows."""
-    name, text = _content(source)
+    file = _text_of(file)
     head: list[str] = []
     comments: list[str] = []
     rates: list[float] = []
-    for row in text.split("\n", _HEAD)[:_HEAD]:
-        line, note = row.strip(" "), row.lstrip("#/% ")
+    for first, row in enumerate(islice(_lines(file), _HEAD), 1):
+        if damage := _damage(row):
+            raise GyroLogError(f"line {first}: {damage}")
+        note = row.lstrip('#/% "')
         if match := _RATE.match(note):
             rates.append(float(match["rate"]))
-        if not line.strip() or line.startswith(_COMMENTS):
+        if not row.strip() or row.lstrip('" ').startswith(_COMMENTS):
             comments.append(note)
-        else:
-            layout = _layout(line)
-            cells = [cell.strip() for cell in layout.clean(line).split(layout.delimiter)]
-            if _numbers(cells):
-                break
-            head.append(line)
+            continue
+        layout = _layout(row)
+        cells = [cell.strip() for cell in layout.clean(row).split(layout.delimiter)]
+        if _numbers(cells):
+            break
+        head.append(row)
     else:
-        raise GyroLogError(
-            f"{name}: found no row of numbers; accepted: a table with three rate columns"
-        )
-    start = len(head) + len(comments)
+        raise GyroLogError("found no row of numbers; accepted: a table with three rate columns")
     # names are in the line before the numbers, or else in a comment
     named = head[-1:] or [c for c in comments if names.triples(_names(c), "gyro")][-1:]
     header = _names(named[0]) if named else []
     # the line of names, those of numbers, or both may end with a separator
     fits = len(header) == len(cells) or (_used(header) == _used(cells) and bool(header))
-    arrays, places, lengths = _rows(layout, text.split("\n", start)[-1], start + 1, cells)
+    arrays, places, lines = _rows(layout, file, first, cells)
     return Table(
         name=name, names=header if fits else [], arrays=arrays, first_row=cells, places=places,
-        row="line", rates=tuple(dict.fromkeys(rates)), lengths=lengths,
+        row="line", rates=tuple(dict.fromkeys(rates)), damage=lines,
     )  # fmt: skip
 
 
+def _text_of(file: BinaryIO) -> BinaryIO:
+    """The file, or what it has in gzip."""
+    begin = file.read(8)
+    file.seek(0)
+    if begin[:2] == b"\x1f\x8b":
+        try:
+            return _text_of(io.BytesIO(gzip.decompress(file.read())))
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise GyroLogError(f"found damaged gzip data ({error}); accepted: whole") from None
+    if len(begin) == 8 and any(begin[::2]) != any(begin[1::2]):
+        begin = b"\xff\xfe"  # every other byte is 0
+    for mark, kind in _OTHER_FILES.items():
+        if begin.startswith(mark):
+            raise GyroLogError(f"found {kind}")
+    return file
+
+
+def _lines(file: BinaryIO) -> Iterator[str]:
+    """The lines of a text."""
+    file.seek(0)
+    text = io.TextIOWrapper(file, "utf-8-sig", "replace")
+    try:
+        for line in text:
+            yield line.rstrip("\n")
+    finally:
+        text.detach()
+
+
+def _damage(line: str) -> str:
+    """What makes a line none of a table; "" for nothing."""
+    if len(line) > _LONGEST:
+        return f"found {len(line)} letters; accepted: {_LONGEST} at most"
+    if "\0" in line or "\ufffd" in line:
+        return "found bytes that are no text in UTF-8 (it may be Latin-1, or damaged)"
+    return ""
+
+
 def _rows(
-    layout: _Layout, text: str, first: int, cells: list[str]
-) -> tuple[list[NDArray[Any]], NDArray[np.int64], dict[int, int]]:
-    """Columns, the lines of rows, and the lengths of those of another length, left empty."""
+    layout: _Layout, file: BinaryIO, first: int, cells: list[str]
+) -> tuple[list[NDArray[Any]], NDArray[np.int64], dict[int, str]]:
+    """Columns, the lines of rows, and what is wrong with those that are left empty."""
+    if columns := _plain(layout, file, first, cells):
+        return columns, np.arange(first, first + len(columns[0])), {}
     mark, n_columns, n_used = layout.delimiter, len(cells), _used(cells)
     rows: dict[int, str] = {}
-    lengths: dict[int, int] = {}
-    for place, line in enumerate(layout.clean(text).split("\n"), first):
+    wrong: dict[int, str] = {}
+    for place, text in islice(enumerate(_lines(file), 1), first - 1, None):
+        line = layout.clean(text)
         if not line.strip():
             continue
-        rows[place] = line
-        if line.count(mark) != n_columns - 1:
-            found = line.split(mark)
-            if _used([cell.strip() for cell in found]) != n_used:
-                lengths[place], found = len(found), []
-            rows[place] = mark.join([*found, *[""] * n_columns][:n_columns])
+        damage, found = _damage(line), line
+        if damage or line.count(mark) != n_columns - 1:
+            parts = line.split(mark)
+            if not damage and _used([cell.strip() for cell in parts]) != n_used:
+                damage = f"found {len(parts)} columns; accepted: {n_columns}, as in the first row"
+            if damage:
+                wrong[place], parts = damage, []
+            found = mark.join([*parts, *[""] * n_columns][:n_columns])
+        rows[place] = found
+    cleaned = io.BytesIO("\n".join(rows.values()).encode())
+    return _parsed(cleaned, mark, n_columns, low_memory=False), np.array([*rows]), wrong
+
+
+def _plain(layout: _Layout, file: BinaryIO, first: int, cells: list[str]) -> list[NDArray[Any]]:
+    """Columns as pandas parses the lines from the first row on; [] if it would misread some."""
+    file.seek(0)
+    for block in iter(lambda: file.read(1 << 18) + file.readline(), b""):
+        # some releases of pandas read numbers up to a NUL, and skip another number of lines
+        if b"\0" in block or (b"\r" in block and b"\r" in block.replace(b"\r\n", b"")):
+            return []
+    file.seek(0)
+    # pandas parses a file that it opens itself in less time
+    source = file if isinstance(file, io.BytesIO) else Path(file.name).absolute()
+    separator = r"\s+" if layout.delimiter == " " else layout.delimiter
+    warning = stamps.pandas().errors.DtypeWarning
+    try:
+        with warnings.catch_warnings(action="error", category=warning):
+            columns = _parsed(
+                source, separator, len(cells), first - 1, decimal=layout.decimal, low_memory=True
+            )
+    except (ValueError, warning):  # also of rows that are longer than the first
+        return []
+    texts = {i: x.tolist() for i, x in enumerate(columns) if x.dtype.kind not in "iuf"}
+    marks = '\0"#%/\ufffd' + ",." * (layout.decimal == ",")
+    if any(
+        mark in text for x in texts.values() for text in [" ".join(map(str, x))] for mark in marks
+    ):
+        return []
+    # shorter rows end with empty text
+    ends = [set(texts.get(i, ())) for i in range(_used(cells) - 1, len(cells))]
+    return columns if "" not in ends[0] and all(end == {""} for end in ends[1:]) else []
+
+
+def _parsed(
+    source: BinaryIO | Path, separator: str, n: int, skipped: int = 0, **more: Any
+) -> list[NDArray[Any]]:
+    """Columns as pandas parses them, exactly."""
     pandas = stamps.pandas()
     is_exact = tuple(map(int, pandas.__version__.split(".")[:2])) >= (3, 1)
     exact = {} if is_exact else {"float_precision": "round_trip"}  # which is deprecated there
     table = pandas.read_csv(
-        io.StringIO("\n".join(rows.values())), sep=mark, header=None, names=range(n_columns),
-        quoting=csv.QUOTE_NONE, na_filter=False, skipinitialspace=True, low_memory=False, **exact,
+        source, sep=separator, header=None, names=range(n), skiprows=skipped, na_filter=False,
+        quoting=csv.QUOTE_NONE, skip_blank_lines=False, compression=None, **more, **exact,
     )  # fmt: skip
-    return [table[i].to_numpy() for i in table], np.array([*rows]), lengths
+    return [table[i].to_numpy() for i in table]
 
 
 class _Layout(NamedTuple):
@@ -103,14 +223,17 @@ class _Layout(NamedTuple):
     decimal: str
 
     def clean(self, text: str) -> str:
-        """Lines without comments, with decimal points and one kind of separator."""
+        """A line without comments and quotes, with decimal points and one kind of separator.
+
+        A quotation mark inside a number stays, so that its row is not read.
+        """
+        if '"' in text:
+            text = _QUOTE.sub("", text)
         if "#" in text or "%" in text or "//" in text:
             text = _COMMENT.sub("", text)
         if self.decimal == ",":
             text = text.replace(",", ".")
-        if self.delimiter == " ":
-            text = "\n".join(" ".join(line.split()) for line in text.split("\n"))
-        return text
+        return " ".join(text.split()) if self.delimiter == " " else text
 
 
 def _layout(line: str) -> _Layout:
@@ -123,34 +246,6 @@ def _layout(line: str) -> _Layout:
     return _Layout("," if "," in row else " ", ".")
 
 
-def _content(source: Any) -> tuple[str, str]:
-    """A name and the text of a path, of standard input, "-", or of an open file; from gzip too.
-
-    Quotes around cells are left out; one inside a number stays, so that its row is not read.
-    """
-    name = str(getattr(source, "name", "the file"))
-    if isinstance(source, str) and source == "-":
-        name, source = "standard input", sys.stdin
-    if hasattr(source, "read"):
-        data = getattr(source, "buffer", source).read()
-    elif isinstance(source, (str, PathLike)) and "\0" not in str(source):
-        name, data = str(source), Path(source).read_bytes()
-    else:
-        raise TypeError(
-            f'source: found {checks.brief(source)}; accepted: a file\'s name, "-", an open file, a '
-            "data frame or a data set"
-        )
-    data = data.encode() if isinstance(data, str) else data
-    try:
-        data = gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise GyroLogError(f"{name}: found damaged gzip data ({error}); accepted: whole") from None
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[:8].count(b"\0") > 2:
-        raise GyroLogError(f"{name}: found UTF-16 text; accepted: text in UTF-8")
-    text = _QUOTE.sub("", data.decode("utf-8-sig", "replace"))
-    return name, text.replace("\r\n", "\n").replace("\r", "\n")
-
-
 def _numbers(cells: Iterable[str]) -> bool:
     """Whether a line consists of numbers, or has as many of them as a gyro has."""
     used = [cell for cell in cells if cell]
@@ -160,6 +255,7 @@ def _numbers(cells: Iterable[str]) -> bool:
 
 
 def _names(text: str) -> list[str]:
+    text = _QUOTE.sub("", text)
     separator = next((d for d in (";", "\t", ",") if d in text), None)
     # a unit in brackets after a blank belongs to the name before it
     if separator is None:

@@ -14,7 +14,7 @@ import xarray
 from each import each
 
 import fastatt as fa
-from fastatt.gyro import GyroLogWarning
+from fastatt.gyro import GyroLogWarning, text
 
 W = np.array([[0.1, -0.2, 0.3], [0.4, 0.5, -0.6], [-0.7, 0.8, 0.9]])
 A = np.array([[0.5, -0.25, 9.75], [0.25, 0.5, 9.5], [-0.5, 0.25, 9.25]])
@@ -345,6 +345,37 @@ def test_a_temperature_is_no_time(name):
     columns = {name: [20, 21, 22], **dict(zip(GYRO, W.T.tolist(), strict=True))}
     log = fa.read_gyro_log(text_of({"time (s)": SECONDS} | columns))
     assert np.allclose(log.dt, 0.01)
+
+
+@each("damage", [b"\0", b"\0" * 64, b"\xb0"])
+@each("column", [b"0.5", b"IMU"])
+def test_bytes_that_are_no_text_make_a_row_bad(tmp_path, damage, column):
+    """In columns that are not read too: the bytes may have been rows."""
+    good = b"".join(b"%d,1,2,0.5,IMU\n" % k for k in range(500))
+    head = b"t [s],gx [rad/s],gy [rad/s],gz [rad/s],label\n"
+    path = tmp_path / "log.csv"
+    path.write_bytes(head + re.sub(b"(\n300,.*)" + column, rb"\1" + damage + column, good))
+    with pytest.raises(fa.GyroLogError, match="line 302: found bytes that are no text in UTF-8"):
+        fa.read_gyro_log(path)
+    log = fa.read_gyro_log(path, on_bad_rows="drop")
+    assert len(log.t) == 499
+    assert "1 row dropped: line 302 at 299 s" in log.summary
+
+
+@each("end", ["\n", "\r\n", "\r"])
+@each("tail", ["", ","])
+def test_a_plain_log_is_parsed_by_pandas_alone(tmp_path, monkeypatch, end, tail):
+    """And not line by line, which takes ten times as long; but lone carriage returns are."""
+    lines = []
+    monkeypatch.setattr(text, "_damage", lambda line: lines.append(line) or "")
+    rows = "".join(f"{k},1,2.5,0.5,IMU{tail}{end}" for k in range(2000))
+    path = tmp_path / "log.csv"
+    path.write_text(
+        f"# 1{end}t [s],gx [rad/s],gy [rad/s],gz [rad/s],label{tail}{end}{rows}", newline=""
+    )
+    log = fa.read_gyro_log(path)
+    assert len(log.t) == 2000
+    assert len(lines) < 10 or end == "\r"
 
 
 N = 12

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from exact import START
@@ -112,6 +114,13 @@ NO_RATES = {
     "gyro_{} (kHz)": "khz",
 }  # fmt: skip
 
+OTHER_FILES = {
+    b"PK\3\4": "found a ZIP archive; accepted: the table in it",
+    b"ULog\1\x12\x35\1": "found PX4's ULog; accepted: its tables, which ulog2csv writes",
+    b"\xa3\x95\x80\x80\x59": "found ArduPilot's DataFlash; accepted: its tables, which mavlogdump",
+    "t [s],gx [°/s]\n1,2,3".encode("latin-1"): "line 1: found bytes that are no text in … Latin-1",
+    b"t\n" + b"1" * 10_000_001: "line 2: found 10000001 letters; accepted: 10000000 at most",
+}
 BAD_ROWS = [
     ("…line 4: wx [rad/s] is 'nan'; accepted: a finite number, or on_bad_rows", "0.2,nan,2,3"),
     ("…t [s] in line 4 is an outlier, 0 s after the row before; acc", "0.1,1,2,3"),
@@ -230,6 +239,10 @@ REFUSED = [
     ("…t [s] gives 0.0005 Hz; …0.5 Hz in ms", text(f"t [s],{RAD}\n0,1,2,3\n2000,1,2,3\n")),
     *[("…found UTF-16 text; accepted: text in UTF-8", of_bytes(GOOD.encode(encoding)))
      for encoding in ("utf-16", "utf-16-le", "utf-16-be")],
+    *[(f"…{what}", source) for begin, what in OTHER_FILES.items()
+      for source in (of_bytes(begin), of_bytes(gzip.compress(begin)))],
+    ("source: found the directory …; accepted: a file",
+     partial(fa.read_gyro_log, Path(__file__).parent)),
     # names and units
     *[(f"…found the unit {unit} in the names of", named(names))
       for names, unit in NO_RATES.items()],
