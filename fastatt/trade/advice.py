@@ -14,6 +14,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
+from fastatt.trade.coverage import Coverage, coverage_of, share_of
 from fastatt.trade.measure import Case
 from fastatt.trade.search import Point, Search
 from fastatt.trade.timing import TIE
@@ -23,9 +24,11 @@ _HOPELESS = 6.0  # a case with this many times the estimated work of the best is
 _SINGLE = 1e-6  # rad; float32 is never that accurate
 
 
-@dataclass(frozen=True)
-class Recommendation:
+@dataclass(frozen=True, kw_only=True)
+class Recommendation(Coverage):
     """A method, step size and precision with what was measured, as :func:`recommend` returns them.
+
+    It also has the attributes of :class:`Coverage`.
 
     Attributes
     ----------
@@ -51,10 +54,6 @@ class Recommendation:
         the reference hides whether it would.
     tol : float
         The tolerance, rad.
-    n_bodies : int
-        Number of bodies.
-    measured : int
-        Number of bodies that were run.
     reference : str
         The reference of the errors.
     reference_error : float
@@ -74,8 +73,6 @@ class Recommendation:
     runner_up: Point | None
     limited_by: str
     tol: float
-    n_bodies: int
-    measured: int
     reference: str
     reference_error: float
     case: Case = field(repr=False)
@@ -91,12 +88,14 @@ class Recommendation:
         is_reference = self.case.record.is_exact and self.dtype == "float64"
         how_known = "estimated" if is_reference else "measured"
         over = f"{how_known} over {self.measured} of {self.n_bodies} bodies"
+        over += f", most of body {self.worst_body}" if self.n_bodies > 1 else ""
         time = self.expected_seconds
         text = f"{time:.3g} s" if time >= 0.1 else f"{time * 1e3:.3g} ms"
         lines = [
             f"{self.case}: {how} (tol {self.tol:g})",
             f"  error      {self.expected_error:.1e} rad at most over the run, {over}; limited by "
             + self.limited_by,
+            *self._lines(),
             f"  time       {text} of one thread",
         ]
         if up := self.runner_up:
@@ -124,6 +123,8 @@ def recommend(
     representations: Sequence[str] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 128,
+    quantile: float = 1.0,
+    all_bodies: bool = False,
     n_threads: int | None = None,
     rng: int | np.random.Generator = 0,
 ) -> Recommendation:
@@ -163,6 +164,12 @@ def recommend(
     sample : int, default 128
         Number of bodies on which errors are measured, in addition to those with the smallest and
         the largest of each number of the scene.
+    quantile : float, default 1.0
+        Share of the bodies for which the tolerance holds, above 0. Below 1, all bodies that are run
+        are chosen at random.
+    all_bodies : bool, default False
+        Whether all bodies are run with the step size that is found and with half of it, to count
+        those beyond the tolerance.
     n_threads : int, optional
         Number of threads of the runs that find errors, as in :func:`fastatt.propagate`.
     rng : int or numpy.random.Generator, default 0
@@ -186,12 +193,14 @@ def recommend(
 
     Notes
     -----
-    The sample consists of the bodies with the largest errors in a coarse run of all bodies, or of
-    as many as take ten million steps, of the fastest bodies, and of others that are chosen at
-    random; it is smaller for long runs. For each case the number of steps is searched whose largest
-    error meets ``tol``, and the cases take turns to be timed, five times or more, of which the
-    shortest counts. The recommendation itself was run on the sample, and on as many of the
-    other bodies as take four million steps, those with the largest errors first.
+    The sample consists of the bodies most at risk and of others that are chosen at random; it is
+    smaller for long runs. At risk are the fastest bodies, those nearest the separatrix, those with
+    the largest errors in the first coarse steps, and those with the largest errors in a coarse run
+    of as many bodies as take ten million steps. For each case the number of steps is searched whose
+    largest error meets ``tol``, and the cases take turns to be timed, five times or more, of which
+    the shortest counts. The recommendation itself was run on the sample, and on as many of the
+    other bodies as take four million steps: half of them are those with the largest errors in the
+    coarse run, and half are chosen at random.
 
     Errors are measured against a closed form, or against a run of high order whose step is halved
     until its error falls as its order predicts. Rates, torques and forces are sampled along its
@@ -218,7 +227,8 @@ def recommend(
     if methods is None:
         cases = _hopeful(cases, tol)
     size = checks.whole("sample", sample, 1)
-    search = Search(whole, size, np.random.default_rng(rng), tol)
+    part, is_whole = share_of("quantile", quantile), checks.flag("all_bodies", all_bodies)
+    search = Search(whole, size, np.random.default_rng(rng), tol, quantile=part)
     best, *others = search.fastest(sorted(cases, key=lambda case: _work(case, tol)))
     case, n = best.case, best.n_steps
     return Recommendation(
@@ -226,7 +236,7 @@ def recommend(
         dt=whole.duration / n, n_steps=n, t0=whole.t0,
         expected_error=best.error, expected_seconds=best.seconds,
         limited_by=search.limit(case, n), runner_up=others[0] if others else None,
-        tol=tol, n_bodies=ensemble.size, measured=best.measured,
+        tol=tol, **vars(coverage_of([(search, best)], tol, is_whole)),
         reference=search.known.source, reference_error=float(search.known.error.max()),
         case=case,
     )  # fmt: skip

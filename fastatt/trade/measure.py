@@ -105,6 +105,11 @@ class Problem:
         return replace(self, ensemble=self.ensemble.take(rows))
 
 
+def top(values: NDArray[np.float64], quantile: float) -> float:
+    """The largest of the values, or the smallest that so large a share does not exceed."""
+    return float(np.sort(values)[math.ceil(quantile * values.size) - 1])
+
+
 def last_state(run: Trajectory) -> State:
     """The final attitudes, and the angular velocities that are part of the state."""
     return State(run.q[-1], run.w[-1] if "w" in run.carried else None)

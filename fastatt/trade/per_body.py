@@ -13,6 +13,7 @@ from fastatt.methods import Method
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene, as_scene
+from fastatt.trade.coverage import Coverage, coverage_of, share_of
 from fastatt.trade.forcing import forcing
 from fastatt.trade.measure import Case
 from fastatt.trade.reference import speeds
@@ -22,9 +23,11 @@ from fastatt.trade.work_precision import name_of, problem_over
 _SIZES = 16  # the most different step sizes
 
 
-@dataclass(frozen=True)
-class PerBodySteps:
+@dataclass(frozen=True, kw_only=True)
+class PerBodySteps(Coverage):
     """Per-body step sizes and numbers of steps, as :func:`per_body_steps` finds them.
+
+    It also has the attributes of :class:`Coverage`.
 
     Attributes
     ----------
@@ -40,10 +43,6 @@ class PerBodySteps:
         Largest error, rad, of the bodies that were run with these steps, after each step or, for
         more than 1024 steps, after the first ones and at as many equally spaced times. It includes
         the error of the reference.
-    measured : int
-        Number of bodies that were run.
-    n_bodies : int
-        Number of bodies.
     reference : str
         The reference of the errors of the fastest bodies.
     share : float
@@ -55,8 +54,6 @@ class PerBodySteps:
     n_steps: NDArray[np.int64] = field(repr=False)
     t0: float
     expected_error: float
-    measured: int
-    n_bodies: int
     reference: str
     share: float
 
@@ -67,11 +64,13 @@ class PerBodySteps:
 
     def __str__(self) -> str:
         name = self.method if isinstance(self.method, str) else self.method.name
-        return (
+        first = (
             f"{name}: {self.n_steps.min()} to {self.n_steps.max()} steps, {self.share:.2f} of the "
             f"steps of one dt for all; error {self.expected_error:.1e} rad at most, measured over "
-            f"{self.measured} of {self.n_bodies} bodies against {self.reference}"
+            f"{self.measured} of {self.n_bodies} bodies, of body {self.worst_body}, against "
+            f"{self.reference}"
         )
+        return "\n".join([first, *self._lines()])
 
 
 def per_body_steps(
@@ -87,6 +86,8 @@ def per_body_steps(
     s0: ArrayLike | None = None,
     t0: float = 0.0,
     sample: int = 1536,
+    quantile: float = 1.0,
+    all_bodies: bool = False,
     rng: int | np.random.Generator = 0,
 ) -> PerBodySteps:
     """Find per-body step sizes for which the largest error over a run meets a tolerance.
@@ -119,6 +120,12 @@ def per_body_steps(
     sample : int, default 1536
         Number of bodies on which steps are searched, the fastest among them, in addition to those
         with the smallest and the largest of each number of the scene.
+    quantile : float, default 1.0
+        Share of the bodies for which the tolerance holds, above 0. Below 1, all bodies that are run
+        are chosen at random.
+    all_bodies : bool, default False
+        Whether all bodies are run with the step size that is found and with half of it, to count
+        those beyond the tolerance.
     rng : int or numpy.random.Generator, default 0
         Random generator, or a seed for one, which chooses bodies.
 
@@ -159,20 +166,20 @@ def per_body_steps(
     size, chance = checks.whole("sample", sample, 1), np.random.default_rng(rng)
     groups = _groups(speeds(whole))
     steps = np.empty(ensemble.size, dtype=np.int64)
-    runs: list[Point] = []
+    part, is_whole = share_of("quantile", quantile), checks.flag("all_bodies", all_bodies)
+    runs: list[tuple[Search, Point]] = []
     for rows in groups:
         few = -(-size // len(groups))
-        search = Search(whole.take(rows), few, chance, tol, len(groups))
-        runs.append(search.fewest(case))
-        steps[rows] = runs[-1].n_steps
+        search = Search(whole.take(rows), few, chance, tol, len(groups), part)
+        runs.append((search, search.fewest(case)))
+        steps[rows] = runs[-1][1].n_steps
     # of the whole ensemble, with more samples than each search takes
     if jump := forcing(whole, case, int(steps.max())).jump:
         raise ValueError(f"scene: {jump}")
     return PerBodySteps(
         method=case.method, dt=whole.duration / steps, n_steps=steps, t0=whole.t0,
-        expected_error=max(run.error for run in runs), measured=sum(run.measured for run in runs),
-        n_bodies=ensemble.size, reference=search.known.source,
-        share=float(steps.mean() / steps.max()),
+        expected_error=max(point.error for _, point in runs), reference=search.known.source,
+        share=float(steps.mean() / steps.max()), **vars(coverage_of(runs, tol, is_whole)),
     )  # fmt: skip
 
 

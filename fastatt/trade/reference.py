@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt._cached import cached_property
+from fastatt.arrays import quat_rotate_inverse
 from fastatt.closed_form import solution_of
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import breaks_within
 from fastatt.propagation.choice_of_method import methods_for
+from fastatt.propagation.ensemble import Ensemble
 from fastatt.scene.scene import Scene
 from fastatt.trade.forcing import BREAKPOINTS, SAMPLES, forcing
-from fastatt.trade.ladder import SATURATED, Ladder
-from fastatt.trade.measure import Case, Problem, State, last_state
+from fastatt.trade.ladder import SATURATED, Ladder, largest_angle, see
+from fastatt.trade.measure import Case, Problem, State, last_state, top
 
 # evaluations in a step of a reference, and of what confirms it; more of them round more
 _EVALUATIONS, _CONFIRMING = 12, 15
@@ -31,6 +33,8 @@ _LEAST = 4  # steps
 _WORK = 2e7
 _SETTLED = 1e-6  # rad; a larger change that does not fall with the step is not rounding
 _FITS = 0.75  # the least observed share of a method's order
+#: share of the tolerance that the error of a reference may have
+RESOLVED = 0.25
 _DOUBTED = 4.0  # ratio of an error without an order and the last changes
 _INSTANTS = 16  # times at which a prescribed rate is evaluated
 _EVALUATED = 65536  # bodies whose prescribed rate is evaluated
@@ -66,32 +70,52 @@ class Reference:
         run = self.problem.run(self.case, self.n_steps, save_at=self.problem.t0 + each)
         return np.asarray(run.q[back])
 
-    def of(self, other: Problem) -> Reference:
+    def of(self, other: Problem, quantile: float = 1.0) -> Reference:
         """The reference of other bodies, with the same steps."""
         if self.case.record.is_exact:
             return reference(other)
-        errors = np.full(other.ensemble.size, self.error.max())
+        errors = np.full(other.ensemble.size, top(self.error, quantile))
         return replace(self, problem=other, error=errors)
+
+    def undetermined(self, rows: NDArray[np.intp], tol: float) -> NDArray[np.intp]:
+        """Those of some rows that double precision does not determine to a share of ``tol`` rad.
+
+        The rounding of all steps, as a change of their initial angular velocity, moves them
+        farther.
+        """
+        if rows.size == 0:
+            return rows
+        one = self.problem.take(rows)
+        if one.ensemble.w0 is None:
+            return rows[:0]
+        rounding = _EPS * math.sqrt(self.n_steps)
+        near = replace(one.ensemble, w0=one.ensemble.w0 * (1.0 + rounding))
+        runs = (
+            see(problem, self.case, self.n_steps, _INSTANTS).q
+            for problem in (one, replace(one, ensemble=near))
+        )
+        return rows[_DOUBTED * largest_angle(*runs) > RESOLVED * tol]
 
     @property
     def unresolved(self) -> NDArray[np.float64]:
         """Errors, (N,) rad, below which it cannot tell a method's error; 0 if only rounding is."""
         return np.where(self.is_rounding, 0.0, self.error)
 
-    def refuse(self, tol: float) -> None:
+    def refuse(self, tol: float, quantile: float = 1.0) -> None:
         """Raise ``ValueError`` if the scene jumps, or if errors of ``tol`` rad are not far above.
 
         The errors of a scene with a rate, torque or force that jumps are unknown.
         """
         if self.jump:
             raise ValueError(f"scene: {self.jump}")
-        largest = float(self.error.max())
-        if largest > 0.25 * tol:
+        largest = top(self.error, quantile)
+        if largest > RESOLVED * tol:
+            body = self.problem.ensemble.places[np.argmax(self.error >= largest)]
             why = "that is rounding" if self.is_rounding else "it needs more steps than it takes"
             why = f"{self.doubt} {BREAKPOINTS}" if self.doubt else why
             raise ValueError(
                 f"tol: found {tol:g}; accepted: at least {4.0 * largest:.1e}: {self.source}, the "
-                f"reference, has an error of {largest:.1e} rad for some body: {why}"
+                f"reference, has an error of {largest:.1e} rad for body {body}: {why}"
             )
 
 
@@ -110,6 +134,17 @@ def speeds(problem: Problem) -> NDArray[np.float64]:
     rates = np.zeros(e.size)
     rates[rows] = np.linalg.norm(run.w, axis=-1).max(axis=0)
     return rates
+
+
+def from_separatrix(ensemble: Ensemble) -> NDArray[np.float64]:
+    """How far each body's energy is from that of rotation about the intermediate axis, a share."""
+    moments, axes = ensemble.scene.principal
+    w = np.atleast_2d(np.asarray(ensemble.w0))
+    w = w if axes is None else quat_rotate_inverse(axes, w)
+    momentum, middle = moments * w, np.sort(moments, axis=-1)[..., 1]
+    with np.errstate(invalid="ignore"):
+        share = middle * (momentum * w).sum(axis=-1) / (momentum**2).sum(axis=-1)
+    return np.broadcast_to(np.abs(share - 1.0), (ensemble.size,))
 
 
 def largest_rotation(problem: Problem) -> float:

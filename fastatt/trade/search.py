@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from fastatt.trade.forcing import SAMPLES
 from fastatt.trade.ladder import Ladder, largest_angle, see, times_compared
-from fastatt.trade.measure import PLATEAU, REFERENCE, Case, Problem, is_flat
+from fastatt.trade.measure import PLATEAU, REFERENCE, Case, Problem, is_flat, top
 from fastatt.trade.reference import (
+    RESOLVED,
     Reference,
+    from_separatrix,
     intervals,
     largest_rotation,
     reference,
@@ -23,9 +25,11 @@ from fastatt.trade.reference import (
     speeds,
 )
 from fastatt.trade.timing import BUDGET, TIE, once, time_in_turns
-from fastatt.trade.work_precision import spread
 
 _FINER = 30.0  # ratio of the tolerance and the reference's error
+_FIRST = 8  # coarse steps of all bodies, from which their risk is seen
+_TOGETHER = 8192  # bodies of a run of all
+_TIMES = 16  # at which errors of all bodies are measured
 _UNSEEN = 1.5  # margin of errors below the tolerance if some bodies are not run
 _BASELINE = Case("rk4")  # fits every scene
 _SCREENED = 1e7  # body-steps that find the bodies with the largest errors
@@ -43,7 +47,8 @@ _SHORT = 0.01  # s; shorter calls are timed as a whole
 class Point(NamedTuple):
     """Steps of a case, their largest error, rad, over ``measured`` bodies, and a call's time, s.
 
-    The time is the CPU time of one thread.
+    The time is the CPU time of one thread. ``worst`` is the body with the largest error; of so many
+    bodies at ``random``, those ``beyond`` exceed the tolerance.
     """
 
     case: Case
@@ -51,6 +56,15 @@ class Point(NamedTuple):
     error: float
     measured: int
     seconds: float = 0.0
+    worst: int = 0
+    random: int = 0
+    beyond: int = 0
+
+
+def _largest(values: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """Indices of so many of the largest values."""
+    count = min(count, values.size)
+    return np.argpartition(-values, count - 1)[:count]
 
 
 class _Timed(NamedTuple):
@@ -70,8 +84,10 @@ def ranked(points: Sequence[Point]) -> list[Point]:
 class Search:
     """Some bodies of an ensemble, their reference, and the fewest steps that meet a tolerance.
 
-    ``others`` are bodies outside of the sample, those with the largest errors first. The runs that
-    find these, and those of others, are shorter if there are several ``searches``.
+    The tolerance holds for a ``quantile`` of the bodies. The sample is those most at risk, unless
+    that is below 1, and some at random. Bodies that double precision does not determine are set
+    aside, ``undetermined``. The runs that find the sample, and those of others, are shorter if
+    there are several ``searches``.
 
     Raises ``ValueError`` if a rate, torque or force jumps, or if the reference is too inaccurate.
     """
@@ -83,42 +99,60 @@ class Search:
         generator: np.random.Generator,
         tol: float,
         searches: int = 1,
+        quantile: float = 1.0,
     ) -> None:
-        self.whole, self.tol = whole, tol
+        self.whole, self.tol, self.quantile = whole, tol, quantile
         self.screened, self.verified = _SCREENED / searches, _VERIFIED / searches
-        chosen, ranked = self._choose(sample, generator)
-        rows = np.union1d(chosen, whole.ensemble.extremes)
-        self.problem, self.others = whole.take(rows), ranked[~np.isin(ranked, rows)]
-        self.sampled, self.longest = rows.size, _MOST / rows.size
+        chosen, self.ranked, self.chance, self.drawn = self._choose(sample, generator)
+        extremes = whole.ensemble.extremes if quantile == 1.0 else chosen[:0]
+        self.rows, self.undetermined = np.union1d(chosen, extremes), chosen[:0]
+        self.sampled, self.longest = self.rows.size, _MOST / self.rows.size
         # bodies outside of the sample may have slightly larger errors
-        self.within = tol / 1.1 if self.others.size else tol
-        self.most = times_compared(rows.size)
-        self.known: Reference = reference(
-            self.problem, most=self.most, goal=tol / _FINER, samples=SAMPLES // searches
-        )
-        self.known.refuse(tol)
+        self.within = tol / 1.1 if self.sampled < whole.ensemble.size else tol
+        self.most = times_compared(self.sampled)
+        while True:
+            self.problem = whole.take(self.rows)
+            self.known: Reference = reference(
+                self.problem, most=self.most, goal=tol / _FINER, samples=SAMPLES // searches
+            )
+            lost = self.known.undetermined(np.flatnonzero(self.known.error > RESOLVED * tol), tol)
+            is_lost = lost.size == self.rows.size
+            if lost.size == 0 or (is_lost and searches == 1):
+                self.known.refuse(tol, quantile)
+                break
+            self.undetermined = np.union1d(self.undetermined, self.rows[lost])
+            self.rows = np.delete(self.rows, lost)
+            if is_lost:
+                break
         fastest = float(speeds(self.problem).max())
         if self.known.end.w is not None:  # a torque may have accelerated the bodies
             fastest = max(fastest, float(np.linalg.norm(self.known.end.w, axis=-1).max()))
         #: rotation angle of the fastest body, rad
         self.angle = fastest * whole.duration
-        #: the largest errors of the sample, rad, with that of the reference; inf with a flag
-        self.errors: dict[tuple[Case, int], float] = {}
+        #: the errors of the sample, rad, with that of the reference; inf with a flag
+        self.errors: dict[tuple[Case, int], NDArray[np.float64]] = {}
 
     def _choose(
         self, size: int, generator: np.random.Generator
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The sample: the fastest, the hardest and some at random; and all ranked, hardest first.
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], int]:
+        """The sample; some bodies, hardest first; some at random, the first so many in the sample.
 
-        A coarse run ranks as many bodies as it may, half of them the fastest.
+        The others of the sample are those most at risk. A coarse run ranks as many bodies as it
+        may, half of them those most at risk.
         """
         n = self.whole.ensemble.size
         angle = largest_rotation(self.whole)
         size = min(size, max(8, int(_LONG / max(angle, 1.0))))
         if n <= size:
-            return np.arange(n), np.arange(0)
+            return np.arange(n), np.arange(0), np.arange(0), 0
+        chance = generator.choice(n, min(n, size + int(self.verified / 64)), replace=False)
+        if self.quantile < 1.0:
+            return chance[:size], np.arange(0), chance, size
         steps = max(8, math.ceil(angle / 0.5))
-        pool = spread(self.whole, max(size, int(self.screened / (3 * steps))), generator)
+        risks = self._risks(steps, chance)
+        most = max(size, int(self.screened / (3 * steps)))
+        half = [_largest(risk, most // (2 * len(risks))) for risk in risks]
+        pool = np.unique(np.concatenate([*half, chance[: most // 2]]))
         problem = self.whole.take(pool)
         if 3 * steps * pool.size <= self.screened:
             hardness = Ladder(problem, _BASELINE, steps, times_compared(pool.size)).halve()
@@ -126,9 +160,23 @@ class Search:
             hardness = speeds(problem)
         ranked = pool[np.argsort(-hardness, kind="stable")]
         few = max(1, size // 8)
-        hard = np.union1d(pool[:few], ranked[:few])
-        others = generator.choice(np.setdiff1d(pool, hard), max(0, size - hard.size), replace=False)
-        return np.append(hard, others), ranked
+        hard = np.unique(np.concatenate([ranked[:few], *(_largest(risk, few) for risk in risks)]))
+        left = max(0, size - hard.size)
+        return np.append(hard, chance[:left]), ranked, chance, left
+
+    def _risks(self, steps: int, chance: NDArray[np.intp]) -> list[NDArray[np.float64]]:
+        """Of each body what makes its error large: its rate, the separatrix, its first steps."""
+        whole = self.whole
+        risks = [speeds(whole)]
+        if whole.ensemble.w0 is not None:
+            risks.append(-from_separatrix(whole.ensemble))
+        some = np.arange(whole.ensemble.size)
+        if 3 * _FIRST * some.size > self.screened:
+            some = chance[: int(self.screened / (3 * _FIRST))]
+        first = replace(whole.take(some), duration=whole.duration * _FIRST / steps)
+        risks.append(np.full(whole.ensemble.size, -1.0))
+        risks[-1][some] = Ladder(first, _BASELINE, _FIRST, 1).halve()
+        return risks
 
     def unit(self, n: float) -> int:
         """The divisor of numbers of steps near n, so that steps end at equally spaced corners."""
@@ -157,17 +205,16 @@ class Search:
         least = self.least(case)
         return max(least, self.rounded(max(self.angle / 0.5, 4.0))) if self.order(case) else least
 
-    def _largest_error(self, problem: Problem, known: Reference, case: Case, n: int) -> float:
-        seen = see(problem, case, n, self.most)
-        if seen.flagged.any():
-            return math.inf
-        return float((largest_angle(seen.q, known.at(seen.times)) + known.error).max())
+    def _errors(self, known: Reference, case: Case, n: int) -> NDArray[np.float64]:
+        seen = see(known.problem, case, n, self.most)
+        errors = largest_angle(seen.q, known.at(seen.times)) + known.error
+        return np.where(seen.flagged, np.inf, errors)
 
     def error(self, case: Case, n: int) -> float:
         """The largest error of the sample, rad, with that of the reference; inf with a flag."""
         if (case, n) not in self.errors:
-            self.errors[case, n] = self._largest_error(self.problem, self.known, case, n)
-        return self.errors[case, n]
+            self.errors[case, n] = self._errors(self.known, case, n)
+        return top(self.errors[case, n], self.quantile)
 
     def is_flat(self, case: Case, n: int, further: int) -> bool:
         """Whether rounding keeps the error from falling between n steps and ``further``."""
@@ -188,7 +235,13 @@ class Search:
             few = min(4 * few, n)
 
     def fewest(self, case: Case) -> Point:
-        """The fewest steps of one case that meet the tolerance; raises ``ValueError``."""
+        """The fewest steps of one case that meet the tolerance; raises ``ValueError``.
+
+        If no body of the sample is determined, they are those that would be tried first.
+        """
+        if self.rows.size == 0:
+            lost = self.sampled
+            return Point(case, self.start(case), 0.0, lost, random=lost, beyond=lost)
         n = self._fewest(case, math.inf)
         sure = None if n is None else self._sure(case, n)
         if sure is None:
@@ -228,7 +281,7 @@ class Search:
         ]
 
     def _refusal(self) -> ValueError:
-        error, n, name = min((error, n, str(case)) for (case, n), error in self.errors.items())
+        error, n, name = min((self.error(case, n), n, str(case)) for case, n in self.errors)
         return ValueError(
             f"tol: found {self.tol:g}; accepted: what can be reached, {error:.1e} rad by {name} in "
             f"{n} steps: the motion magnifies rounding, or the torque or rate has corners"
@@ -263,7 +316,7 @@ class Search:
         order = self.order(case)
         for _ in range(_TRIALS):
             point = self._on_others(case, n)
-            wanted = self.tol if point.measured == self.whole.ensemble.size else self.tol / _UNSEEN
+            wanted = self.tol if point.random == self.whole.ensemble.size else self.tol / _UNSEEN
             if point.error <= wanted:
                 return point
             if not order:
@@ -276,13 +329,47 @@ class Search:
         return None
 
     def _on_others(self, case: Case, n: int) -> Point:
-        """The error over the sample and over bodies outside of it, the hardest first."""
-        some = self.others[: max(int(self.verified / max(n, 64)), self.sampled)]
-        worst = self.error(case, n)
+        """The error over the sample and over bodies outside of it, the hardest and some at random.
+
+        All are run if they are few enough.
+        """
+        size, most = self.whole.ensemble.size, max(int(self.verified / max(n, 64)), self.sampled)
+        self.error(case, n)
+        rows, errors = [self.rows], [self.errors[case, n]]
+        hard, chance = self.ranked[: most // 2], self.chance[: self.drawn + most - most // 2]
+        is_all = size - self.rows.size <= most
+        some = np.arange(size) if is_all else np.append(hard, chance)
+        some = np.setdiff1d(some, np.append(self.rows, self.undetermined))
         for part in np.array_split(some, -(-some.size // 1024)) if some.size else ():
-            problem = self.whole.take(part)
-            worst = max(worst, self._largest_error(problem, self.known.of(problem), case, n))
-        return Point(case, n, worst, self.sampled + some.size)
+            known = self.known.of(self.whole.take(part), self.quantile)
+            found = self._errors(known, case, n)
+            lost = known.undetermined(np.flatnonzero(found > self.tol / _UNSEEN), self.tol)
+            self.undetermined = np.union1d(self.undetermined, part[lost])
+            rows.append(np.delete(part, lost))
+            errors.append(np.delete(found, lost))
+        each, found = np.concatenate(rows), np.concatenate(errors)
+        random = np.arange(size) if is_all else chance
+        beyond = np.append(each[found > self.tol], self.undetermined)
+        return Point(
+            case, n, top(found, self.quantile), each.size + self.undetermined.size,
+            worst=int(self.whole.ensemble.places[each[np.argmax(found)]]),
+            random=random.size, beyond=int(np.isin(beyond, random).sum()),
+        )  # fmt: skip
+
+    def by_halving(self, point: Point) -> NDArray[np.float64]:
+        """Errors of all bodies, (N,) rad, by runs in the steps of a point and in twice as many.
+
+        Those that double precision does not determine are found among those beyond the tolerance.
+        """
+        errors = []
+        size = self.whole.ensemble.size
+        for part in np.array_split(np.arange(size), -(-size // _TOGETHER)):
+            known = self.known.of(self.whole.take(part), self.quantile)
+            ladder = Ladder(known.problem, point.case, point.n_steps, _TIMES)
+            errors.append(np.where(ladder.start.flagged, np.inf, ladder.halve()))
+            lost = known.undetermined(np.flatnonzero(errors[-1] > self.tol), self.tol)
+            self.undetermined = np.union1d(self.undetermined, part[lost])
+        return np.concatenate(errors)
 
     def limit(self, case: Case, n: int) -> str:
         """What limits the error: truncation if half the step size is more accurate."""
