@@ -94,7 +94,7 @@ class Reference:
             see(problem, self.case, self.n_steps, _INSTANTS).q
             for problem in (one, replace(one, ensemble=near))
         )
-        return rows[_DOUBTED * largest_angle(*runs) > RESOLVED * tol]
+        return rows[largest_angle(*runs) > RESOLVED * tol]
 
     @property
     def unresolved(self) -> NDArray[np.float64]:

@@ -115,7 +115,8 @@ class Search:
             self.known: Reference = reference(
                 self.problem, most=self.most, goal=tol / _FINER, samples=SAMPLES // searches
             )
-            lost = self.known.undetermined(np.flatnonzero(self.known.error > RESOLVED * tol), tol)
+            unresolved = np.flatnonzero(self.known.error > RESOLVED * tol)
+            lost = self.known.undetermined(unresolved, RESOLVED * tol)
             is_lost = lost.size == self.rows.size
             if lost.size == 0 or (is_lost and searches == 1):
                 self.known.refuse(tol, quantile)
@@ -172,7 +173,7 @@ class Search:
             risks.append(-from_separatrix(whole.ensemble))
         some = np.arange(whole.ensemble.size)
         if 3 * _FIRST * some.size > self.screened:
-            some = chance[: int(self.screened / (3 * _FIRST))]
+            some = chance[: max(1, int(self.screened / (3 * _FIRST)))]
         first = replace(whole.take(some), duration=whole.duration * _FIRST / steps)
         risks.append(np.full(whole.ensemble.size, -1.0))
         risks[-1][some] = Ladder(first, _BASELINE, _FIRST, 1).halve()

@@ -104,7 +104,5 @@ def test_chaotic_bodies_are_named_and_set_aside(function):
 @pytest.mark.parametrize("function", [fa.recommend, fa.per_body_steps])
 def test_bad_input(function):
     for value in (0.0, 1.5):
-        with pytest.raises(
-            ValueError, match=rf"quantile: found {value}; accepted: a num"
-        ):
+        with pytest.raises(ValueError, match=rf"quantile: found {value}; accepted: a num"):
             advised(function, quantile=value)

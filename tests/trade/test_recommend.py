@@ -363,7 +363,8 @@ def test_the_error_of_the_reference_is_not_called_round_off(unresolved, errors, 
     one, case = object.__new__(Search), Case("rk8")
     one.whole = Problem(Ensemble(GRADIENT, Q0, W0), T_END)
     one.known = SimpleNamespace(unresolved=np.array([unresolved]), error=np.array([1e-9]))
-    one.errors = {(case, 10): errors[0], (case, 20): errors[1]}
+    one.errors = {(case, n): np.array([x]) for n, x in zip((10, 20), errors, strict=True)}
+    one.quantile = 1.0
     assert one.limit(case, 10) == limit
 
 
