@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
+from scipy.integrate import solve_ivp
 
 import fastatt as fa
 
@@ -94,6 +95,23 @@ def attitude(rate, t0, t1, q0=(1.0, 0.0, 0.0, 0.0), *, frame="body", panels=32):
         q = q + 0.5 * h * np.einsum("j,j...->...", weights, slope)
         q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return q
+
+
+def body_motion(inertia, torque, y, begin, end, *, more=lambda t, q, w, y: ()):
+    """(q, w, more) at the end by SciPy's DOP853, from Euler's equations as they stand.
+
+    ``torque`` and ``more``, the slopes of what stands after q and w in y, are of (t, q, w, y).
+    """
+    inertia = np.diag(inertia) if np.ndim(inertia) == 1 else np.asarray(inertia)
+
+    def slope(t, y):
+        q, w = y[:4] / np.linalg.norm(y[:4]), y[4:7]
+        spin = np.linalg.solve(inertia, torque(t, q, w, y) - np.cross(w, inertia @ w))
+        turned = 0.5 * mul(y[:4], np.append(0.0, w))
+        return np.concatenate([turned, spin, np.atleast_1d(more(t, q, w, y))])
+
+    y = solve_ivp(slope, (begin, end), y, "DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    return np.concatenate([y[:4] / np.linalg.norm(y[:4]), y[4:]])
 
 
 # the family of rates

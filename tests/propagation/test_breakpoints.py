@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from each import each
+from exact import body_motion
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
@@ -183,22 +184,18 @@ LINEAR_MODELS = {
 }
 
 
-def table_truth(times, torque, angular=lambda t: 0.0, inside=False):
+def table_truth(times, torque, angular=lambda t: np.zeros(3), inside=False):
     """(q, w) by DOP853 from sample to sample, under a torque(t, k) and a wheel's momentum."""
-
-    def slope(t, y, k):
-        w = y[4:]
-        turned = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
-        return np.concatenate([turned, (np.cross(J * w + angular(t), w) + torque(t, k)) / J])
-
     y = np.append(START, W0)
     for k, (a, b) in enumerate(pairwise(times)):
         low, high = (np.nextafter(a, 9.0), np.nextafter(b, -9.0)) if inside else (a, b)
-        y = solve_ivp(
-            lambda t, y, k=k, low=low, high=high: slope(np.clip(t, low, high), y, k), (a, b), y,
-            "DOP853", rtol=1e-13, atol=1e-14,
-        ).y[:, -1]  # fmt: skip
-    return y[:4] / np.linalg.norm(y[:4]), y[4:]
+
+        def acting(t, q, w, y, k=k, low=low, high=high):
+            t = np.clip(t, low, high)
+            return np.cross(angular(t), w) + torque(t, k)
+
+        y = body_motion(J, acting, y, a, b)
+    return y[:4], y[4:]
 
 
 def linear_truth(times):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from exact import body_motion
 
 import fastatt as fa
 from fastatt.propagation.breakpoints import breaks_within
@@ -32,22 +32,13 @@ SCENE = sampled()
 S0 = np.zeros(7)
 
 
-def slope(t, y, torque):
-    q, w = y[:4], y[4:]
-    spin = np.linalg.solve(J, torque - np.cross(w, J @ w))
-    return np.concatenate([0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))]), spin])
-
-
 def truth(end, held=(0.0, 0.0, 0.0), memory=(0.0,) * 4, start=0.0):
     """(q, w, s) by DOP853 from one sample time to the next; the first is at ``start``."""
     y, t, torque = np.concatenate([Q0, W0]), 0.0, np.array(held)
     edges = [start + k * PERIOD for k in range(100)]
     for until in [*(x for x in edges if x < end), end]:
         if until > t:
-            y = solve_ivp(slope, (t, until), y, "DOP853", args=(torque,), rtol=1e-13, atol=1e-14).y[
-                :, -1
-            ]
-        y[:4] /= np.linalg.norm(y[:4])
+            y = body_motion(J, lambda t, q, w, y, held=torque: held, y, t, until)
         t = until
         if until < end:
             found, memory = pid(t, y[:4], y[4:], memory, GAINS)

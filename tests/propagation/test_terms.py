@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from exact import body_motion
 
 import fastatt as fa
 
@@ -21,16 +21,7 @@ def to_body(q, v):
 
 
 def went(y, begin, end, torque, inertia=INERTIA, more=lambda t, q, w, y: ()):
-    """(q, w, more) at the end, by DOP853; ``torque`` is of (t, q, w, y)."""
-
-    def slope(t, y):
-        q, w = y[:4] / np.linalg.norm(y[:4]), y[4:7]
-        turn = 0.5 * np.array([-y[1:4] @ w, *(y[0] * w + np.cross(y[1:4], w))])
-        spin = (np.cross(inertia * w, w) + torque(t, q, w, y)) / inertia
-        return np.concatenate([turn, spin, more(t, q, w, y)])
-
-    y = solve_ivp(slope, (begin, end), y, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-    return np.concatenate([y[:4] / np.linalg.norm(y[:4]), y[4:]])
+    return body_motion(inertia, torque, y, begin, end, more=more)
 
 
 def apart(run, y):
