@@ -108,9 +108,9 @@ _SENSORS = {
 _WORDS = {"accel": "accelerometer", "mag": "magnetometer"}
 # units of numbers that are no rates, whatever an argument says of them
 _NO_RATES = re.compile(r"lsbs?|counts?|raw|digits?|adc|bits?|ticks?|m?g|m/s.*|.*volts?|m?v")
-_IN_BRACKETS = re.compile(r"(?<![ _])[ _]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
+_IN_BRACKETS = re.compile(r"(?<![ _,])[ _,]*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT_AT_END = re.compile(
-    r"(?<![ _])[ _]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$"
+    r"(?<![ _,])[ _,]+([mkuµμ]?(deg|rad|°|dps|rp[ms]|hz)|m?g$|[mnuµμ]?(t|tesla|gauss)$"
     r"|[cm]?m[ _/p]*s).*$",
     re.IGNORECASE,
 )
@@ -185,9 +185,9 @@ def _stem(name: str) -> tuple[str, str, str]:
     match = _AXIS.fullmatch(_UNIT_AT_END.sub("", text)) or _AXIS.fullmatch(text)
     if match is None:
         return "", "", ""
-    whole = match["before"].rstrip(" _.-/").lower()
+    whole = match["before"].rstrip(" _.,-/").lower()
     stem = _UNIT_AT_END.sub("", re.split(r"[./]", whole)[-1])
-    return re.sub(r"[ _\-]", "", stem), match["axis"].strip("[]()").lower(), whole
+    return re.sub(r"[ _,\-]", "", stem), match["axis"].strip("[]()").lower(), whole
 
 
 def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | None:
@@ -319,6 +319,11 @@ def rate_unit(
     if values != "increments" and any(_is_increment(name) for name in names):
         raise GyroLogError(f'{names[0][:60]} is an angle; accepted: values="increments"')
     return unit or one
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is an angle per time, or an angle."""
+    return _RATE.fullmatch(text.strip("[( )]").lower()) is not None
 
 
 def _is_no_rate(unit: str) -> bool:

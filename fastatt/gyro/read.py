@@ -119,13 +119,16 @@ def read_gyro_log(
     ((2, 3), array([0.01]))
     """
     checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
-    words = {"unit": (unit, UNITS | ANGLES), "values": (values, VALUES)}
-    for name, (word, accepted) in (words | {"time_unit": (time_unit, names.TIME_UNITS)}).items():
+    for name, word, accepted in (
+        ("unit", unit, UNITS | ANGLES), ("values", values, VALUES),
+        ("time_unit", time_unit, names.TIME_UNITS),
+    ):  # fmt: skip
         if word is not None:
             checks.choice(name, word, accepted)
     if max_gap is not None:
         max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
-    table = in_memory(source) if tabular(source) else from_text(source)
+    pairs = _pairs(rows)
+    table = in_memory(source) if tabular(source) else from_text(source, pairs or [])
     try:
         gyro = _gyro(table, columns)
         axes = tuple(table.column(i) for i in gyro)
@@ -134,7 +137,7 @@ def read_gyro_log(
         clock = [] if rate is not None else _clock(table, time_column, defined)
         values = _values(axes, values, defined)
         unit = names.rate_unit(axes, unit, values, defined)
-        chosen = _chosen(table, rows)
+        chosen = None if pairs is None else [(table.index(c, "rows"), text) for c, text in pairs]
     except GyroLogError as error:
         raise table.error(error) from None
     hertz = math.nan if clock else _rate(table, rate)
@@ -253,18 +256,17 @@ def _clock(table: Table, time_column: Any, defined: names.Format | None) -> list
     return clock
 
 
-def _chosen(table: Table, rows: Any) -> list[tuple[int, str]] | None:
-    """Columns by index, and the text that rows have there."""
+def _pairs(rows: Any) -> list[tuple[str | int, str]] | None:
+    """Columns, and the text that rows have there."""
     if rows is None:
         return None
     single = isinstance(rows, tuple) and rows and isinstance(rows[0], (str, int))
     pairs = [rows] if single else rows
     try:
-        texts = [(column, str(text)) for column, text in pairs]
+        return [(column, str(text)) for column, text in pairs]
     except (TypeError, ValueError):
         accepted = 'a column and its text, as ("name", "IMU"), or a list of these'
         raise TypeError(f"rows: found {checks.brief(rows)}; accepted: {accepted}") from None
-    return [(table.index(column, "rows"), text) for column, text in texts]
 
 
 def _counter(table: Table, *, stamped: bool) -> list[int]:

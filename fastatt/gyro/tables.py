@@ -49,6 +49,7 @@ class Table:
     row: str = "row"  # what a place is called
     rates: tuple[float, ...] = ()  # sample rates in lines before the numbers, Hz
     damage: dict[int, str] = field(default_factory=dict)  # of lines that are no rows
+    unnamed: str = ""  # why names are not known
     keep: Any = ...  # which rows are read
 
     def read(
@@ -74,7 +75,7 @@ class Table:
             raise self.error(f"{row}; accepted: one at least")
         self.keep = keep
         hows = self._formats(clock)
-        times = [_numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
+        times = [numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
         if len(times) > 1:
             times[1] = np.where((times[1] < 0) | (times[1] >= 10**9), stamps.NO_STAMP, times[1])
         stamps_of_rows = stamps.joined(times)
@@ -83,7 +84,7 @@ class Table:
             self._refuse_kinds(used, keep, stamps_of_rows)
         values = {
             name: np.stack(
-                [_numbers(self.arrays[i][keep], "float") for i in group], 1, dtype=np.float64
+                [numbers(self.arrays[i][keep], "float") for i in group], 1, dtype=np.float64
             )
             for name, group in wanted.items()
             if group
@@ -98,7 +99,7 @@ class Table:
     def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
         """The time stamps of the rows that were read; None for no column."""
         cells = zip(clock, self._formats(clock), strict=True)
-        return stamps.joined([_numbers(self.arrays[i][self.keep], how) for i, how in cells])
+        return stamps.joined([numbers(self.arrays[i][self.keep], how) for i, how in cells])
 
     def _formats(self, clock: list[int]) -> list[stamps.Kind]:
         if len(clock) > 1:
@@ -169,7 +170,10 @@ class Table:
 
     def shown(self) -> str:
         """The columns, for a message."""
-        return names.listed(self.names) or f"{len(self.arrays)} columns without a name each"
+        return (
+            names.listed(self.names)
+            or f"{len(self.arrays)} columns without a name each{self.unnamed}"
+        )
 
     def column(self, i: int) -> str:
         """The name of a column, or its number from 1."""
@@ -275,7 +279,7 @@ def _array(found: Any) -> NDArray[Any]:
     return array
 
 
-def _numbers(array: Cells, how: stamps.Kind) -> Cells:
+def numbers(array: Cells, how: stamps.Kind) -> Cells:
     """Numbers, NaN for what is not real or finite; whole ones, dates and durations as int64."""
     kind = array.dtype.kind
     if kind in "mM":

@@ -10,8 +10,8 @@ import re
 import sys
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice, zip_longest
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -23,7 +23,7 @@ from fastatt import checks
 from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
 from fastatt.gyro.log import GyroLogError
-from fastatt.gyro.tables import Table
+from fastatt.gyro.tables import Table, numbers
 
 _HEAD = 1000  # lines within which the numbers must begin
 _LONGEST = 10_000_000  # letters of a line
@@ -40,18 +40,25 @@ _RATE = re.compile(
     r"([ _]*[(\[]hz[)\]])?[\s:=,;\"']+(?P<rate>\d+(\.\d*)?(e[+-]?\d+)?)\s*(hz)?(?!\s*[\w.,])",
     re.IGNORECASE,
 )
+# of Gyroflow: factors of its columns, and the units that these give
+_SCALES = {"tscale": "s", "gscale": "rad/s", "ascale": "g"}
 _COMMENTS = ("#", "//", "%")
 # at the begin of a cell; a sign inside a number is damage
 _COMMENT = re.compile(r"(?:(?<! ) +|(?<![^\s,;]))(#|//|%)[^\n]*")
+_QUOTED = re.compile(r'"[^"]*"')
 _QUOTE = re.compile(r'(?<![^\s,;#])"|"(?![^\s,;"])')  # at the begin or the end of a cell
 
 
-def from_text(source: Any) -> Table:
-    """The table of a path, of standard input, "-", or of an open file; from gzip too."""
+def from_text(source: Any, rows: Iterable[tuple[str | int, str]] = ()) -> Table:
+    """The table of a path, of standard input, "-", or of an open file; from gzip too.
+
+    ``rows`` are columns, and the text that rows have there.
+    """
     name, file = _opened(source)
+    chosen = {int(column) - 1: text for column, text in rows if str(column).isdecimal()}
     with file:
         try:
-            return _table(name, file)
+            return _table(name, file, chosen)
         except GyroLogError as error:
             raise GyroLogError(f"{name}: {error}") from None
 
@@ -75,13 +82,14 @@ def _opened(source: Any) -> tuple[str, BinaryIO]:
     return name, io.BytesIO(data.encode() if isinstance(data, str) else data)
 
 
-def _table(name: str, file: BinaryIO) -> Table:
-    """The table of a text: its first lines, then its rows."""
+def _table(name: str, file: BinaryIO, chosen: Mapping[int, str]) -> Table:
+    """The table of a text: its first lines, then its rows, which have the chosen texts."""
     file = _text_of(file)
-    head: list[str] = []
+    head: dict[int, list[str]] = {}
     comments: list[str] = []
     rates: list[float] = []
-    for first, row in enumerate(islice(_lines(file), _HEAD), 1):
+    # before the chosen rows there may be many others
+    for first, row in enumerate(islice(_lines(file), None if chosen else _HEAD), 1):
         if damage := _damage(row):
             raise GyroLogError(f"line {first}: {damage}")
         note = row.lstrip('#/% "')
@@ -92,21 +100,48 @@ def _table(name: str, file: BinaryIO) -> Table:
             continue
         layout = _layout(row)
         cells = [cell.strip() for cell in layout.clean(row).split(layout.delimiter)]
-        if _numbers(cells):
+        if _fits(cells, chosen) and _numbers(cells):
             break
-        head.append(row)
+        head[first] = _names(row)
     else:
-        raise GyroLogError("found no row of numbers; accepted: a table with three rate columns")
-    # names are in the line before the numbers, or else in a comment
-    named = head[-1:] or [c for c in comments if names.triples(_names(c), "gyro")][-1:]
-    header = _names(named[0]) if named else []
+        what = "found no row of numbers" + "".join(f" with {text!r}" for text in chosen.values())
+        raise GyroLogError(f"{what}; accepted: a table with three rate columns")
+    header = _header([*head.values()], comments, chosen)
+    why = f"line {first} is the first row"
+    if head:
+        why = f"line {max(head)} has {len(header)} names, the rows have {len(cells)}"
     # the line of names, those of numbers, or both may end with a separator
-    fits = len(header) == len(cells) or (_used(header) == _used(cells) and bool(header))
-    arrays, places, lines = _rows(layout, file, first, cells)
+    if len(header) != len(cells) and (_used(header) != _used(cells) or not header):
+        header = []
+    arrays, places, wrong = _rows(layout, file, first, cells, chosen)
+    scales = {c[0][0]: stamps.number(c[1]) for c in head.values() if c[0] in _SCALES and c[1:]}
+    for i, column in enumerate(header):
+        if column[:1] in scales and re.fullmatch("t|[ga][xyz]", column):
+            header[i] = f"{column} [{_SCALES[f'{column[0]}scale']}]"
+            arrays[i] = scales[column[0]] * numbers(arrays[i], "float")
+            cells[i] = "0"  # no whole number
     return Table(
-        name=name, names=header if fits else [], arrays=arrays, first_row=cells, places=places,
-        row="line", rates=tuple(dict.fromkeys(rates)), damage=lines,
+        name=name, names=header, arrays=arrays, first_row=cells, places=places, row="line",
+        rates=tuple(dict.fromkeys(rates)), damage=wrong, unnamed=f" ({why})",
     )  # fmt: skip
+
+
+def _header(head: list[list[str]], comments: list[str], chosen: Mapping[int, str]) -> list[str]:
+    """Names of columns: in the line before the numbers, over units there, or else in a comment."""
+    for cells in head:
+        if cells[0] == "FMT" and chosen.get(0) in cells[3:4]:  # of DataFlash, for a kind of rows
+            return ["kind", *cells[5:]]
+    over, last = [[], [], *head][-2:]
+    if names.triples(over, "gyro") and any(map(names.is_unit, last)):
+        units = [unit and f" [{unit.strip('[()]')}]" for unit in last]
+        return ["".join(parts) for parts in zip_longest(over, units, fillvalue="")]
+    of_comments = [found for c in comments if names.triples(found := _names(c), "gyro")]
+    return last or [[], *of_comments][-1]
+
+
+def _fits(cells: Sequence[str], chosen: Mapping[int, str]) -> bool:
+    """Whether a row has the chosen texts."""
+    return all(cells[i : i + 1] == [text] for i, text in chosen.items())
 
 
 def _text_of(file: BinaryIO) -> BinaryIO:
@@ -147,7 +182,7 @@ def _damage(line: str) -> str:
 
 
 def _rows(
-    layout: _Layout, file: BinaryIO, first: int, cells: list[str]
+    layout: _Layout, file: BinaryIO, first: int, cells: list[str], chosen: Mapping[int, str]
 ) -> tuple[list[NDArray[Any]], NDArray[np.int64], dict[int, str]]:
     """Columns, the lines of rows, and what is wrong with those that are left empty."""
     if columns := _plain(layout, file, first, cells):
@@ -158,6 +193,8 @@ def _rows(
     for place, text in islice(enumerate(_lines(file), 1), first - 1, None):
         line = layout.clean(text)
         if not line.strip():
+            continue
+        if chosen and not _fits([cell.strip() for cell in line.split(mark)], chosen):
             continue
         damage, found = _damage(line), line
         if damage or line.count(mark) != n_columns - 1:
@@ -255,13 +292,15 @@ def _numbers(cells: Iterable[str]) -> bool:
 
 
 def _names(text: str) -> list[str]:
+    separator = next((d for d in (";", "\t", ",") if d in _QUOTED.sub("", text)), None)
+    if separator:  # one in quotes is part of a name
+        text = _QUOTED.sub(lambda match: match[0].replace(str(separator), "\0"), text)
     text = _QUOTE.sub("", text)
-    separator = next((d for d in (";", "\t", ",") if d in text), None)
     # a unit in brackets after a blank belongs to the name before it
     if separator is None:
         parts = re.split(r"\s+(?![\[(])", text)
     else:
-        parts = [part.strip() for part in text.split(separator)]
+        parts = [part.strip().replace("\0", separator) for part in text.split(separator)]
     return [names.printable(part) for part in parts] if text else []
 
 

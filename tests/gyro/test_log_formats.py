@@ -178,6 +178,11 @@ CASES = {
         ).replace(".0,", ","),
         0.2,
     ),
+    "Gyroflow": Case(
+        "GYROFLOW IMU LOG\nversion,1.1\ntimestamp,1644159993\ntscale,0.001\ngscale,0.25\n"
+        "ascale,0.5\n" + table(f"t,{xyz('g{}')},{xyz('a{}')}", [7, 8, 9], W, A / 9.80665),
+        0.001, 0.25, accel=0.5,
+    ),
     "Xsens, SampleTimeFine": Case(
         "// Update Rate: 10.0Hz\n"
         + table("SampleTimeFine\tGyr_X\tGyr_Y\tGyr_Z", [5000, 6000, 7000], W, separator="\t"),
@@ -376,6 +381,42 @@ def test_a_plain_log_is_parsed_by_pandas_alone(tmp_path, monkeypatch, end, tail)
     log = fa.read_gyro_log(path)
     assert len(log.t) == 2000
     assert len(lines) < 10 or end == "\r"
+
+
+@each(
+    "head",
+    [
+        "t;gx;gy;gz\ns;rad/s;rad/s;rad/s",
+        "t,gx,gy,gz,\n[s],[rad/s],[rad/s],[rad/s],",
+        '"t, [s]","gyro, x [rad/s]","gyro, y [rad/s]","gyro, z [rad/s]"',
+        '"t [s]","gyro x, rad/s","gyro y, rad/s","gyro z, rad/s"',
+        "Device: a\nSerial,7\n\nRecorded 2024-01-01 10:00\nt [s],gx [rad/s],gy [rad/s],gz [rad/s]",
+    ],
+)
+def test_units_in_a_row_of_their_own_separators_in_quotes_and_a_preamble(head):
+    separator = ";" if ";" in head else ","
+    log = fa.read_gyro_log(io.StringIO(table(head, SECONDS, W, separator=separator)))
+    assert np.array_equal(log.rates, W)
+    assert np.allclose(log.dt, 0.01)
+
+
+def test_the_text_log_of_ardupilot():
+    """Rows of several kinds and lengths, which the log describes itself."""
+    kinds = "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+    kinds += (
+        "FMT, 129, 31, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ\nFMT, 130, 31, ATT, Qfff, TimeUS,R,P,Y\n"
+    )
+    rows = "PARM, 1, A, 2\n" * 1500 + "".join(
+        f"IMU, {1000 * k}, 1, 7, 8, 9\nATT, {1000 * k}, 1, 2, 3\n"
+        f"IMU, {1000 * k}, 0, {', '.join(map(str, w))}\n" for k, w in enumerate(W.tolist())
+    )  # fmt: skip
+    for chosen in (((1, "IMU"), (3, "0")), (("1", "IMU"), ("I", "0"))):
+        log = fa.read_gyro_log(io.StringIO(kinds + rows), rows=chosen, unit="rad/s")
+        assert np.array_equal(log.rates, W)
+        assert np.allclose(log.dt, 0.001)
+    numbers = {"columns": [4, 5, 6], "time_column": 2, "time_unit": "us", "unit": "rad/s"}
+    log = fa.read_gyro_log(io.StringIO(rows), rows=((1, "IMU"), (3, "0")), **numbers)
+    assert np.array_equal(log.rates, W)
 
 
 N = 12
