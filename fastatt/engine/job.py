@@ -14,7 +14,7 @@ from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine.marks import Event, going_on, look
-from fastatt.engine.status import DIAGNOSTICS, OF_SAVES, OF_STEPS, Save, Step, flags, larger
+from fastatt.engine.status import DIAGNOSTICS, Diagnostic, Save, Step, flags, larger
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
@@ -93,6 +93,22 @@ class Job:
         scope = self.scope()
         return len(scope.motion.invariants(scope.state()))
 
+    @cached_property
+    def jumps(self) -> bool:
+        """Whether the torque may jump within a step."""
+        scope = self.scope()
+        return len(scope.motion.sides(scope.time(), scope.state())) > 0
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """The diagnostics that it has."""
+        return tuple(of for of in DIAGNOSTICS if of.applies(self))
+
+    @property
+    def of_steps(self) -> list[Diagnostic]:
+        """Those that steps compute."""
+        return [of for of in self.diagnostics if of.of_steps]
+
     def scope(self, *, small_angle: bool = False) -> Scope:
         """The numbers and the equations of motion of a formula."""
         graph = Graph()
@@ -105,9 +121,10 @@ class Job:
     def _form(self, small_angle: bool) -> Flat:
         scope = self.scope(small_angle=small_angle)
         times = scope.time(), scope.number("h"), scope.number("k")
+        t, h, _ = times
         x, square = scope.step(*times, scope.state(), scope.prepared())
-        step = Step(square)
-        flat = scope.finished(x=x, **{of.name: (of.formula(step),) for of in OF_STEPS})
+        step = Step(square, scope.motion.sides(t, scope.state()), scope.motion.sides(t + h, x))
+        flat = scope.finished(x=x, **{of.name: (of.formula(step),) for of in self.of_steps})
         if self.shared:
             return flat
         return self._constants.without(flat, more=small_angle)
@@ -145,7 +162,7 @@ class Job:
         stepped = scope.entered(t, scope.number("edge"), x, e)
         return scope.finished(
             x=stepped, e=e, invariants=scope.monitored(h, x),
-            **{of.name: (0.0,) for of in DIAGNOSTICS}, status=(0.0,),
+            **{of.name: (0.0,) for of in self.diagnostics}, status=(0.0,),
         )  # fmt: skip
 
     @cached_property
@@ -157,7 +174,7 @@ class Job:
         save = Save(norm_error, begun, scope.motion.invariants(scope.left_now()))
         goes_on = going_on(scope) if any(event.terminal for event in self.events) else None
         largest = {}
-        for of in OF_SAVES:
+        for of in filter(lambda of: not of.of_steps, self.diagnostics):
             (before,) = scope.inputs(of.name, 1)
             new = larger(before, of.formula(save))
             largest[of.name] = (new if goes_on is None else choose(goes_on, new, before),)
@@ -167,7 +184,7 @@ class Job:
     def status(self) -> Flat:
         """The flags of a body, from its state and its diagnostics."""
         scope = self.scope()
-        names = [of.name for of in DIAGNOSTICS]
+        names = [of.name for of in self.diagnostics]
         limits = scope.graph.inputs("double", "limit", len(names))
         values = {name: scope.inputs(name, 1)[0] for name in names}
         bounds = dict(zip(names, limits, strict=True))

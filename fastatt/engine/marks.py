@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt.engine.status import OF_STEPS, is_number
+from fastatt.engine.status import is_number
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
@@ -67,10 +67,10 @@ def groups(job: Job) -> dict[str, int]:
     piece, NaN if there are none; 1 if a value was not finite; the largest diagnostics before the
     last step; values in the middle.
     """
-    n = len(job.events)
+    n, held = len(job.events), len(job.of_steps) if job.events else 0
     return {
         "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
-        "after": n, "skip": n, "mark": n, "lost": n, "held": len(OF_STEPS) * (n > 0), "middle": n,
+        "after": n, "skip": n, "mark": n, "lost": n, "held": held, "middle": n,
     }  # fmt: skip
 
 
@@ -136,7 +136,8 @@ def after_step(scope: Scope) -> Flat:
     """
     events, n = scope.job.events, scope.job.size
     x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
-    held = scope.inputs("held", len(OF_STEPS))
+    of_steps = scope.job.of_steps
+    held = scope.inputs("held", len(of_steps))
     step = CLASSES[scope.precision](scope.graph.input("double", "step"))
     marked = scope.inputs("marked", (n + len(e)) * len(events))
     goes_on, stays = going_on(scope), [*x]
@@ -162,7 +163,7 @@ def after_step(scope: Scope) -> Flat:
         if event.terminal:
             is_marked = either(has_mark, is_new)
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
-    largest = {of.name: scope.inputs(of.name, 1)[0] for of in OF_STEPS}
+    largest = {of.name: scope.inputs(of.name, 1)[0] for of in of_steps}
     most = [choose(goes_on, x, y) for x, y in zip(largest.values(), held, strict=True)]
     each = {name: (x,) for name, x in zip(largest, most, strict=True)}
     nothing = (math.nan,) * len(events)

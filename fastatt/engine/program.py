@@ -22,7 +22,6 @@ from fastatt.codegen.processor import processor
 from fastatt.engine import marks
 from fastatt.engine.job import Job
 from fastatt.engine.machine import PROGRAM, TIME, Tile
-from fastatt.engine.status import DIAGNOSTICS
 from fastatt.engine.tape import Action
 from fastatt.tracing.finished import Flat, without_shared_calls
 from fastatt.tracing.graph import Graph
@@ -60,7 +59,7 @@ class Program(TwoForms):
         #: what a body takes with it from one tape to the next
         self.kept = {
             "x": job.size, "e": job.prepared, "invariants": job.invariants, **event_groups,
-            **{of.name: 1 for of in DIAGNOSTICS}, "status": 1,
+            **{of.name: 1 for of in job.diagnostics}, "status": 1,
         }  # fmt: skip
         #: which of these belong to events
         self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
@@ -69,7 +68,7 @@ class Program(TwoForms):
         p = 0 if job.shared else parameters
         self.wide = _firsts(p=p, c=sum(is_wide), called=job.calls)
         self.numbers = _firsts(
-            **dict.fromkeys(TIME.names or (), 1), limit=len(DIAGNOSTICS), p=parameters,
+            **dict.fromkeys(TIME.names or (), 1), limit=len(job.diagnostics), p=parameters,
             stage=3 * len(job.method.stages),
         )  # fmt: skip
         super().__init__()

@@ -6,7 +6,7 @@ Two flags have none: that of a state that is not finite, and that of a run witho
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 from functools import reduce
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import rounding
-from fastatt.tracing.formulas import Vector, as_like
+from fastatt.tracing.formulas import Vector, as_like, dot
 from fastatt.tracing.graph import Double, apply, both, choose, either, negated
 
 # invariants below this have no relative change
@@ -48,6 +48,10 @@ class Status(IntFlag):
         (Euler angles, modified Rodrigues parameters) have no such flag.
     UNFINISHED : Status
         64: the run was interrupted before the end of this body.
+    JUMP : Status
+        128: the torque of a built-in model jumped within a step, where the error of a
+        ``QuaternionPD`` passed 180° or the speed of a wheel passed the range in which its Coulomb
+        friction changes its sign: the run has order 1.
 
     Examples
     --------
@@ -64,6 +68,7 @@ class Status(IntFlag):
     NOT_CONVERGED = 16  #: an implicit step's iteration did not converge
     NORM_LOST = 32  #: the norm error of a quaternion or a matrix is above its bound
     UNFINISHED = 64  #: the run was interrupted before its end
+    JUMP = 128  #: the torque of a built-in model jumped within a step
 
 
 #: the type of the flags in arrays, with room for more
@@ -81,6 +86,9 @@ class Step(NamedTuple):
 
     #: the square of its rotation angle
     square: Any
+    #: where the models of the torque are beside their jumps, at its two ends (``Torque.sides``)
+    begun: Sequence[Vector]
+    ended: Sequence[Vector]
 
 
 class Save(NamedTuple):
@@ -114,6 +122,8 @@ class Diagnostic(NamedTuple):
     bound: Callable[[Bounded], float]
     #: which bodies of a ``ClosedRun`` have the flag; None if its solution can't have it
     closed: Callable[[Any], NDArray[np.bool_]] | None
+    #: whether a ``Job`` has it
+    applies: Callable[[Any], bool] = lambda job: True
     #: whether steps compute it
     of_steps: bool = False
     #: whether the square of what the bound holds for is kept
@@ -133,6 +143,12 @@ def norm_bound(run: Bounded) -> float:
     if run.attitude.restore is None:
         return math.inf
     return 1e-3 if run.dtype == np.float64 else 1e-2
+
+
+def jumped(step: Step) -> Any:
+    """1 if the torque of a model jumped in a step, otherwise 0."""
+    across = [dot(a, b) < 0.0 for a, b in zip(step.begun, step.ended, strict=True)]
+    return choose(reduce(either, across), 1.0, 0.0)
 
 
 def relative_change(a: Vector, b: Vector) -> Any:
@@ -162,6 +178,9 @@ def larger(before: Any, value: Any) -> Any:
 #: in the order of their rows; the angle is the last one of steps, as ``engine.machine`` has it
 DIAGNOSTICS = (
     Diagnostic(
+        "jump", Status.JUMP, jumped, lambda run: 0.5, None, lambda job: job.jumps, of_steps=True
+    ),
+    Diagnostic(
         "angle", Status.STEP_TOO_LARGE, lambda step: step.square, lambda run: run.turn,
         lambda run: run.angles > rounding.most_turned(run.dtype), of_steps=True, is_square=True,
         infinite=Status.NOT_CONVERGED, at_poles=Status.SINGULAR,
@@ -172,8 +191,6 @@ DIAGNOSTICS = (
         lambda run: 1e-2, None,
     ),
 )  # fmt: skip
-OF_STEPS = tuple(x for x in DIAGNOSTICS if x.of_steps)
-OF_SAVES = tuple(x for x in DIAGNOSTICS if not x.of_steps)
 
 
 def flags(
@@ -183,7 +200,7 @@ def flags(
     """The flags of a body from its state, its largest diagnostics, and their limits, by name."""
     finite = reduce(both, [abs(each) < math.inf for each in x])
     total = choose(finite, 0.0, float(Status.NON_FINITE))
-    for of in DIAGNOSTICS:
+    for of in filter(lambda of: of.name in values, DIAGNOSTICS):
         value, exceeded = values[of.name], float(of.flag_of(attitude))
         most, infinite = Double(value), exceeded
         if iterates and of.infinite is not None:

@@ -24,7 +24,7 @@ from fastatt.engine.marks import Event
 from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.run_with_events import RunWithEvents
-from fastatt.engine.status import DIAGNOSTICS, FLAGS, Bounded, Status
+from fastatt.engine.status import FLAGS, Bounded, Status
 from fastatt.engine.tape import BLOCK, CALLING_LENGTH, UNBROKEN, Piece, Steps
 from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of, divisions_of
@@ -182,7 +182,7 @@ class Plan:
         flags = lost * FLAGS(Status.NON_FINITE)
         flags = flags | self.limits.too_damped * FLAGS(Status.STEP_TOO_LARGE)
         bounded = Bounded(self.limits.turn, self.attitude, self.dtype)
-        limits = [of.bound(bounded) for of in DIAGNOSTICS]
+        limits = [of.bound(bounded) for of in self.program.job.diagnostics]
         flags = np.ascontiguousarray(flags, dtype=FLAGS)
         return Setup(self.program, self.packed, limits, params, flags)
 

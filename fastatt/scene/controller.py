@@ -77,7 +77,8 @@ class QuaternionPD(Torque):
 
     The vector part of e is half the rotation vector when the error is small, so that a stiffness of
     K N·m gives K/2 N·m/rad. If the target moves, its angular velocity along body axes is subtracted
-    from w. The torque jumps where e0 passes 0; a step across the jump has order 1 with any method.
+    from w. The torque jumps where e0 passes 0; a step across the jump has order 1 with any method
+    and sets the flag ``Status.JUMP``.
 
     Parameters
     ----------
@@ -119,12 +120,19 @@ class QuaternionPD(Torque):
             # angular velocity of the target, q, along body axes: 2 q* (dq/dt q*) q
             rate = quat.mul(slope, quat.conj(target))
             size = dot(target, target)
-            target = quat.normalise(target)
             w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
-        error = rigid.target_error(target, pose.quaternion)
-        shorter = scale(-rigid.sign_of_scalar(error), error[1:])
+        shorter = scale(-1.0, self._shorter_error(pose)[1:])
         torque = minus(_gained(self.stiffness, shorter), _gained(self.damping, w))
         return rigid.saturated(torque, on_each_axis(self.limit)) if self.limit else torque
+
+    def _shorter_error(self: Any, pose: Pose) -> Vector:
+        """The attitude error of at most 180°."""
+        target, slope = self.target
+        error = rigid.target_error(quat.normalise(target) if slope else target, pose.quaternion)
+        return scale(rigid.sign_of_scalar(error), error)
+
+    def sides(self, t: Any, pose: Pose, states: Vector) -> list[Vector]:
+        return [self._shorter_error(pose.along_body)]
 
     def check(self: Any, name: str) -> None:
         check_unit(f"{name}.target", self.target[0], np.abs(self.stiffness).max(axis=(0, 1)))

@@ -167,6 +167,10 @@ class EquationsOfMotion:
         """The invariants of the motion; () if there are none."""
         return ()
 
+    def sides(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> list[Vector]:
+        """Where the models of a torque are beside their jumps."""
+        return []
+
 
 class Turning(EquationsOfMotion):
     """The equations of an attitude with a prescribed rate."""
@@ -355,6 +359,11 @@ class Body(EquationsOfMotion):
         m = self.momentum_of(x)[:3]
         return dot(m, m), dot(m, self.angular_velocity(m))
 
+    def sides(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> list[Vector]:
+        time, base, n = self.instant(t), self.base(x), self.plain.size
+        pose = self._posed(time, base[:n], self.angular_velocity(base[n:]), coupled)
+        return self.structure.law.sides(time, pose, self.torque_numbers, coupled.states)
+
     def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
         q = self.attitude.quaternion(self.attitude_of(x))
         w = self.angular_velocity(self.momentum_of(x)[:3])
@@ -500,6 +509,10 @@ class Coupled(EquationsOfMotion):
 
     def invariants(self, x: Vector) -> Vector:
         return self.inner.invariants(self._split(x)[0])
+
+    def sides(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> list[Vector]:
+        a, moved = self._split(x)
+        return self.inner.sides(t, a, self._named(moved))
 
     def pose(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> tuple[Vector, Vector]:
         a, moved = self._split(x)

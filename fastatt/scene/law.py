@@ -144,6 +144,14 @@ class Law:
         acting = tuple(sum(column[1:], column[0]) for column in columns) or (0.0, 0.0, 0.0)
         return (*acting, *(slope for result in results for slope in result[3:]))
 
+    def sides(self, t: Any, pose: Any, p: Any, states: Vector) -> list[Vector]:
+        """Where the models of a torque are beside their jumps, at a pose."""
+        return [
+            side
+            for term, params, part in self.places
+            for side in term.numbers(t, p[params], pose.shown).sides(t, pose, states[part])
+        ]
+
     @cached_property
     def clocks(self) -> tuple[Sampling | None, ...]:
         """When each of its states changes, None for one that changes at all times."""

@@ -83,7 +83,8 @@ class ReactionWheels(Torque):
     coulomb_speed : array_like
         Width of the range of speeds in which Coulomb friction changes its sign, rad/s, above 0. At
         five times this speed and above, the friction is within 2 % of ``coulomb``. Steps must be
-        shorter than the time in which a wheel passes this range.
+        shorter than the time in which a wheel passes this range; one that passes it
+        sets the flag ``Status.JUMP``.
     max_torque : array_like, optional
         Largest torque of a motor, N·m, 0 for one that failed. Commands that exceed it are cut off.
     max_speed : array_like, optional
@@ -187,7 +188,10 @@ class ReactionWheels(Torque):
         states += command.states if isinstance(command, Law) else 0
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
-        driven = _Driven(**nothing, command=command, states=states, sampled=sampled, count=count)
+        driven = _Driven(
+            **nothing, command=command, states=states, sampled=sampled, count=count,
+            rubs=bool((columns["coulomb"] > 0.0).any()),
+        )  # fmt: skip
         term = Term(driven, sizes, (None,) * len(sizes))
         return term, join(list(columns.values()), packing.n_bodies, name)
 
@@ -359,8 +363,9 @@ class _Driven(Torque):
     states: int = 0  # type: ignore[misc]
     #: sample times of a command that is a function
     sampled: Sampling | None = None
-    #: the number of wheels
+    #: the number of wheels, and whether one of them has Coulomb friction
     count: int = 0
+    rubs: bool = False
 
     @property
     def samplings(self) -> Any:  # type: ignore[override]
@@ -414,6 +419,17 @@ class _Driven(Torque):
             return (*momenta, *inner)
         speeds = self._speeds(momenta, pose.along_body)
         return (*momenta, *self._called(t, pose, (*speeds, *more[count:])))
+
+    def sides(self: Any, t: Any, pose: Pose, states: Vector) -> list[Vector]:
+        momenta, more = states[: self.count], states[self.count :]
+        of_command = isinstance(self.command, Law)
+        sides = self.command.sides(t, pose, self.params, more) if of_command else []
+        if not self.rubs:
+            return sides
+        speeds = self._speeds(momenta, pose.along_body)
+        each = zip(self.coulomb, self.coulomb_speed, speeds, strict=True)
+        # opposite speeds are far apart if their product is above the square of the width
+        return sides + [(f * x, f * slow) for f, slow, x in each]
 
     def _speeds(self: Any, momenta: Vector, body: Pose) -> Vector:
         """The speeds of the wheels relative to the body."""

@@ -125,6 +125,10 @@ class Torque(Model):
     #: whether it holds numbers for other terms and is no torque
     exerts_nothing: ClassVar[bool] = False
 
+    def sides(self, t: Any, pose: Pose, states: Vector) -> list[Vector]:
+        """Vectors that turn by more than 90° where the torque jumps."""
+        return []
+
     def evaluate(self, *state: Any) -> Any:
         """The torque along the axes of a pose, from (t, pose) and the states, if there are any."""
         t, pose, *states = state

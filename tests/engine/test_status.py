@@ -29,7 +29,7 @@ def test_codes_are_those_that_are_documented():
     """They are stored beside results: numbers that stay."""
     assert {flag.name: int(flag) for flag in fa.Status if flag} == {
         "NON_FINITE": 1, "STEP_TOO_LARGE": 2, "INVARIANT": 4, "SINGULAR": 8, "NOT_CONVERGED": 16,
-        "NORM_LOST": 32, "UNFINISHED": 64,
+        "NORM_LOST": 32, "UNFINISHED": 64, "JUMP": 128,
     }  # fmt: skip
 
 
@@ -44,15 +44,18 @@ def test_the_page_and_the_class_list_the_flags():
     assert [(name, int(value)) for name, value in listed] == [("OK", 0), *flags]
 
 
-def spun(rate=3.0, method="rk4"):
+def spun(rate=3.0, method="rk4", torque=None):
     """A body about an axis near the third, by steps of 1 s."""
-    scene = fa.Scene(inertia=(3.0, 2.0, 1.0))
+    scene = fa.Scene(inertia=(3.0, 2.0, 1.0), torque=torque)
     w0 = [0.01 * rate, 0.0, rate]
     return fa.propagate(scene, [1, 0, 0, 0], w0, dt=1.0, n_steps=10, method=method)
 
 
 #: for each diagnostic a run that has its flag
-EXAMPLES = {"angle": spun, "norm": spun, "drift": lambda: spun(3e14, "kahan_li8")}
+EXAMPLES = {
+    "angle": spun, "norm": spun, "drift": lambda: spun(3e14, "kahan_li8"),
+    "jump": lambda: spun(0.5, torque=fa.torques.QuaternionPD(1e-3, 1e-3)),
+}  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore")
