@@ -60,6 +60,7 @@ METHOD = lie_method(
     turns=turns,
     body=body,
     rate_calls=2,
+    body_calls=4,
     exponentials=2,
     limit=2.2,
     body_limit=1.9,

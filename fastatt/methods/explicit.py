@@ -76,6 +76,7 @@ def explicit_method(
         scenes=scenes,
         uses=("derivative",),
         rate_calls=len(set(tableau.c)) if "rate" in scenes else len(tableau.b),
+        body_calls=len(tableau.b),
         compensates=True,
         couples=True,
         limits=limits,

@@ -63,6 +63,9 @@ class Method:
         for samples.
     rate_calls : int
         Evaluations of the rate or torque in a step.
+    body_calls : int
+        Evaluations of the torque in a step of a body, if the method has others of a rate, which it
+        evaluates once for each time; else 0.
     limits : mapping of str to float
         Largest ``|w| h``, rad, of a step whose error is at most 0.1 rad per radian of rotation, for
         rates that change no faster than the body rotates. Keys are families of representations,
@@ -133,6 +136,7 @@ class Method:
     summary: str = ""
     conserves: tuple[str, ...] = ()
     exponentials: int = 0
+    body_calls: int = 0
     #: formulas of a representation that the method needs
     uses: tuple[str, ...] = ("start",)
     #: None for the closed form and for methods for samples
@@ -189,6 +193,21 @@ class Method:
     def iterates(self) -> bool:
         """Whether a step is implicit and solved by iteration."""
         return self.steps is not None and self.steps.iterates
+
+    def evaluations(self, scene: str) -> int:
+        """Evaluations of the right-hand side in a step on a kind of scene.
+
+        Parameters
+        ----------
+        scene : str
+            A kind of scene, ``Scene.kind``.
+
+        Returns
+        -------
+        int
+            The number; 0 for a closed form.
+        """
+        return self.rate_calls if scene == "rate" else self.body_calls or self.rate_calls
 
     def is_tried_on(self, scene: str) -> bool:
         """Whether advice tries the method on a kind of scene.

@@ -47,6 +47,7 @@ METHOD = lie_method(
     exponents,
     body=body,
     rate_calls=3,
+    body_calls=4,
     exponentials=1,
     limit=1.8,
     body_limit=1.9,

@@ -19,16 +19,19 @@ NAMES = {"quat": "quaternion", "dcm": "matrix (DCM)"}
 # drawn in place of smaller values and 0, which a logarithmic axis cannot show
 _FLOOR = 1e-17
 _TICKS = 8  # the most labels of an axis
+_HANDLE, _LETTER = 0.7, 0.1  # inches of a legend's line and letter
 
 
 @dataclass(frozen=True)
 class Curve:
     """One method's values; ``leads`` is false where others are better everywhere.
 
-    Panels have a row for each quantity, by its label, and a column for each representation.
+    Panels have a row for each quantity and what it is drawn against, by their labels, and a column
+    for each representation.
     """
 
     quantity: str
+    against: str
     representation: str
     method: str
     x: Sequence[float]
@@ -36,21 +39,23 @@ class Curve:
     leads: bool = True
 
 
-def draw(curves: Sequence[Curve], x_label: str, heading: str, path: str | Path) -> None:
+def draw(curves: Sequence[Curve], heading: str, path: str | Path) -> None:
     """Draw curves on logarithmic axes, which the panels of a row share.
 
     Methods that lead nowhere are pale.
     """
-    quantities = list(dict.fromkeys(curve.quantity for curve in curves)) or [""]
+    quantities = list(dict.fromkeys((x.quantity, x.against) for x in curves)) or [("", "")]
     names = list(dict.fromkeys(curve.representation for curve in curves)) or [""]
     size = 5.6 * len(names) + 0.6, 4.2 * len(quantities) + 1.6
     figure = Figure(figsize=size, layout="constrained")
     figure.suptitle(heading)
     grid = figure.subplots(len(quantities), len(names), sharex="row", sharey="row", squeeze=False)
     for axes, place in zip(grid.ravel(), product(quantities, names), strict=True):
-        axes.set(xscale="log", yscale="log", title=NAMES.get(place[1], place[1]), xlabel=x_label)
+        (quantity, against), name = place
+        axes.set(xscale="log", yscale="log", title=NAMES.get(name, name), xlabel=against)
         axes.grid(visible=True, alpha=0.3)
-        drawn = [curve for curve in curves if (curve.quantity, curve.representation) == place]
+        shown = quantity, against, name
+        drawn = [x for x in curves if (x.quantity, x.against, x.representation) == shown]
         styles = styles_of([curve.method for curve in drawn])
         for curve in sorted(drawn, key=lambda curve: curve.leads):
             pale = {"lw": 0.8, "ms": 3.5, "alpha": 0.45} if not curve.leads else {}
@@ -59,7 +64,7 @@ def draw(curves: Sequence[Curve], x_label: str, heading: str, path: str | Path) 
             axes.plot(
                 curve.x, y, **styles[curve.method] | pale, markevery=every, label=curve.method
             )
-    for label, row in zip(quantities, grid, strict=True):
+    for (label, _), row in zip(quantities, grid, strict=True):
         row[0].set_ylabel(label)
         _limits(row)
     _legend(figure)
@@ -86,5 +91,8 @@ def _legend(figure: Figure) -> None:
     # the legend shows the thickest curve of each method
     named = {str(line.get_label()): line for line in sorted(lines, key=lambda x: x.get_linewidth())}
     named = {name: named[name] for name in styles_of(list(named))}
-    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 6, "frameon": False}
+    # as many columns as fit into the width
+    inches = _HANDLE + _LETTER * max(map(len, named), default=0)
+    columns = max(1, int(figure.get_figwidth() / inches))
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
     figure.legend(named.values(), named, **below)

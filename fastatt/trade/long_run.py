@@ -92,5 +92,6 @@ def draw(points: Sequence[Drifted], heading: str, path: Path) -> None:
     place = attrgetter("quantity", "representation", "method")
     for (quantity, name, method), drawn in groupby(points, place):
         steps, drifts = zip(*((x.n_steps, x.drift) for x in drawn), strict=True)
-        curves.append(study.Curve(LABELS[quantity], name, method, steps, drifts))
-    study.draw(curves, f"steps of {points[0].dt:.3g} s", heading, path)
+        label = f"steps of {points[0].dt:.3g} s"
+        curves.append(study.Curve(LABELS[quantity], label, name, method, steps, drifts))
+    study.draw(curves, heading, path)

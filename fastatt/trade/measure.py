@@ -142,6 +142,10 @@ class Row:
         CPU time of one thread for each body, s, the least of several.
     seconds_lower, seconds_upper : float or None
         The first and the third quartile of the times.
+    call_share : float or None
+        The share of a call in one step of one body in the time of the run.
+    step_evaluations, evaluations : int
+        Evaluations of the right-hand side in a step, and in the run of a body.
     order : float or None
         Order from the row before.
     plateau : str
@@ -166,6 +170,9 @@ class Row:
     seconds_per_body: float
     seconds_lower: float | None = None
     seconds_upper: float | None = None
+    call_share: float | None = None
+    step_evaluations: int = 0
+    evaluations: int = 0
     order: float | None = None
     plateau: str = ""
     status: str = ""
@@ -195,9 +202,13 @@ def row_of(
     seconds: float,
     error: NDArray[np.float64],
     rate_error: NDArray[np.float64] | None = None,
+    scene: str = "rate",
     **measured: Any,
 ) -> Row:
-    """The row of one run without its order, from errors (N,) and the time for all bodies."""
+    """The row of one run without its order, from errors (N,) and the time for all bodies.
+
+    ``scene`` is its kind, on which evaluations depend.
+    """
     return Row(
         input=name,
         method=case.name,
@@ -205,6 +216,8 @@ def row_of(
         dtype=case.dtype,
         dt=duration / n_steps,
         n_steps=n_steps,
+        step_evaluations=case.record.evaluations(scene),
+        evaluations=case.record.evaluations(scene) * n_steps,
         error_median=float(np.median(error)),
         error_max=float(np.max(error)),
         rate_error_max=None if rate_error is None else float(np.max(rate_error)),
@@ -224,6 +237,7 @@ def measure(problem: Problem, end: State, case: Case, n_steps: int, name: str = 
         name, case, problem.duration, n_steps, seconds,
         angle_between(last.q, end.q),
         None if end.w is None else np.linalg.norm(last.w - end.w, axis=-1),
+        problem.ensemble.scene.kind,
         norm_error_max=float(np.abs(saved.norm_error).max()),
         status=counted(result.status_counts()),
         **{f"{name}_drift_max": float(values.max()) for name, values in drifts.items()},
@@ -258,10 +272,13 @@ def is_flat(case: Case, order: float, coarse: tuple[int, float], fine: tuple[int
     return (not steep and after < summed) or after < _ROUNDED * eps
 
 
-def with_times(row: Row, times: Times, size: int) -> Row:
-    """A row with times of a run of so many bodies."""
+def with_times(row: Row, times: Times, alone: Times, size: int) -> Row:
+    """A row with times of a run of so many bodies, and of a call in few steps of one body."""
     least, lower, upper = (x / size for x in times)
-    return replace(row, seconds_per_body=least, seconds_lower=lower, seconds_upper=upper)
+    return replace(
+        row, seconds_per_body=least, seconds_lower=lower, seconds_upper=upper,
+        call_share=min(1.0, alone.least / times.least),
+    )  # fmt: skip
 
 
 def with_orders(rows: Sequence[Row], case: Case, order: int, unresolved: float = 0.0) -> list[Row]:
@@ -315,6 +332,9 @@ _COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "seconds_per_body": ("µs/body", _microseconds),
     "seconds_lower": ("25 %", _microseconds),
     "seconds_upper": ("75 %", _microseconds),
+    "call_share": ("call", "{:.1%}".format),
+    "step_evaluations": ("calls/step", lambda x: str(x or "")),
+    "evaluations": ("calls", lambda x: str(x or "")),
     "order": ("order", "{:.2f}".format),
     "plateau": ("limit", str),
     "status": ("status", str),
@@ -354,10 +374,11 @@ def frontier(rows: Iterable[Row]) -> list[Row]:
 
 
 def draw(rows: Sequence[Row], duration: float, heading: str, path: str | Path) -> None:
-    """Draw error against time, a panel for each representation, a curve for each method.
+    """Draw error against time and against evaluations, with a curve for each method.
 
-    Curves leave out rows with a flag, and end where rounding limits the error. A method leads where
-    it has a part of the frontier, of all methods or of those that take steps.
+    A panel is for each representation. Curves leave out rows with a flag, and end where rounding
+    limits the error. A method leads where it has a part of the frontier, of all methods or of those
+    that take steps.
     """
     from fastatt.plots import study
 
@@ -368,13 +389,17 @@ def draw(rows: Sequence[Row], duration: float, heading: str, path: str | Path) -
         if not (curve and curve[-1].plateau and 2.0 * row.error_max > curve[-1].error_max):
             curve.append(row)
     drawn, label = [], "largest attitude error at the end, rad"
+    of_time = f"time per body for {duration:g} s of motion, µs"
+    of_calls = f"evaluations of the right-hand side for {duration:g} s of motion"
     for (name, method), curve in curves.items():
         beside = [row for row in rows if row.representation == name]
         best = [*frontier(beside), *frontier(row for row in beside if not row.is_exact)]
         times = [row.seconds_per_body * 1e6 for row in curve]
         errors, leads = [row.error_max for row in curve], any(row in best for row in curve)
-        drawn.append(study.Curve(label, name, method, times, errors, leads))
-    study.draw(drawn, f"time per body for {duration:g} s of motion, µs", heading, path)
+        drawn.append(study.Curve(label, of_time, name, method, times, errors, leads))
+        if calls := [row.evaluations for row in curve if row.evaluations]:
+            drawn.append(study.Curve(label, of_calls, name, method, calls, errors, leads))
+    study.draw(drawn, heading, path)
 
 
 def to_csv(path: str | Path, rows: Sequence[Any]) -> None:

@@ -37,6 +37,7 @@ DTYPES = ("float64", "float32")
 # |w| h of the coarsest step, rad, if the method allows it, and the number of halvings
 _COARSEST = 2.0
 _RUNGS = 14
+_FEW = 4  # steps of a call that is nearly nothing else
 # s; steps of shorter runs would underflow
 _SHORTEST = 1e-290
 # rad, after which rounding alone is some 1e-4 rad
@@ -104,9 +105,18 @@ class Study:
     def timed(self, ladders: Mapping[Case, Sequence[Row]], rounds: int = ROUNDS) -> list[Row]:
         """The rows of all cases with the times of runs that take turns."""
         rows = [(case, row) for case, ladder in ladders.items() for row in ladder]
-        times = time_in_turns([self.call(case, row.n_steps) for case, row in rows], rounds)
+        runs = [self.call(case, row.n_steps) for case, row in rows]
+        one = replace(self, problem=self.problem.take(np.arange(1)))
+        calls = {case: one.call(case, _FEW) for case in ladders}
+        for call in calls.values():
+            call()  # compiles
+        times = time_in_turns([*runs, *calls.values()], rounds)
+        alone = dict(zip(calls, times[len(runs) :], strict=True))
         size = self.problem.ensemble.size
-        return [with_times(row, x, size) for (_, row), x in zip(rows, times, strict=True)]
+        return [
+            with_times(row, x, alone[case], size)
+            for (case, row), x in zip(rows, times[: len(runs)], strict=True)
+        ]
 
     def call(self, case: Case, n: int) -> Callable[[], Any]:
         """A run of a case in n steps, in one thread."""
@@ -121,7 +131,8 @@ class WorkPrecision:
     ----------
     rows : list of Row
         One row for each case and step size: method, representation, dtype, dt, errors (rad),
-        seconds for each body and their quartiles, drift, observed order, status.
+        seconds for each body and their quartiles, the call's share of it, evaluations of the
+        right-hand side, drift, observed order, status.
     study : Study
         The bodies that were measured, and the reference of the errors.
     """
@@ -159,7 +170,7 @@ class WorkPrecision:
         )
 
     def plot(self, path: str | Path) -> None:
-        """Plot error against time per body with the frontier; needs matplotlib.
+        """Plot error against time per body and evaluations, with the frontier; needs matplotlib.
 
         Parameters
         ----------
@@ -191,6 +202,7 @@ def work_precision(
     s0: ArrayLike | None = None,
     t0: float = 0.0,
     methods: Sequence[str | Method] | None = None,
+    n_steps: Sequence[int] | None = None,
     representations: Sequence[str] = ("quat",),
     dtypes: Sequence[str] = DTYPES,
     sample: int = 1024,
@@ -222,6 +234,8 @@ def work_precision(
         Time of the initial state, s.
     methods : sequence of str or Method, optional
         Methods to measure; the default is every method that fits.
+    n_steps : sequence of int, optional
+        Numbers of steps of each method, all of which are run; the default is a ladder.
     representations : sequence of str, default ("quat",)
         Representations to measure.
     dtypes : sequence of str, default ("float64", "float32")
@@ -254,7 +268,8 @@ def work_precision(
     Each ladder begins where the fastest body rotates by 2 rad in a step, or by as much as the
     method allows, and the step is halved until rounding dominates or the time is used up. Times are
     CPU times of one thread for the sample, without compilation: the least counts, and quartiles are
-    kept. Errors are angles at the end, rad, against the
+    kept. Of few bodies and steps the call itself takes much of the time; ``call_share`` says how
+    much. Errors are angles at the end, rad, against the
     ``reference``.
 
     Examples
@@ -276,11 +291,18 @@ def work_precision(
     title = f"{problem.ensemble.size} of {ensemble.size} bodies ({scene.kind})"
     study, rounds = Study.of(scene.kind, title, problem), checks.whole("repeats", repeats, 1)
     share = checks.real("max_seconds", max_seconds) / len(cases)
+    chosen = None
+    if n_steps is not None:
+        numbers = checks.several("n_steps", n_steps, "whole numbers above 0")
+        chosen = sorted({checks.whole("n_steps", n, 1) for n in numbers})
+        if not chosen:
+            raise ValueError("n_steps: found []; accepted: a list of whole numbers above 0")
+        share = math.inf
     ladders: dict[Case, list[Row]] = {}
     with progress_bar(progress, len(cases), "case") as done:
         for case in cases:
             least = coarsest(problem, case)
-            steps = [least * 2**k for k in range(_RUNGS)]
+            steps = chosen or [least * 2**k for k in range(_RUNGS)]
             ladders[case] = study.rows(case, steps, share, rounds)
             done(1)
     return WorkPrecision(study.timed(ladders, rounds), study)

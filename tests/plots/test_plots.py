@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 import fastatt as fa
@@ -172,13 +173,13 @@ def test_files(tmp_path):
 def study_figure(monkeypatch, drawn, heading):
     figures = []
     monkeypatch.setattr(study, "save", lambda figure, path: figures.append(figure))
-    study.draw(drawn, "time, µs", heading, "")
+    study.draw(drawn, heading, "")
     return figures[0]
 
 
 def test_a_picture_of_errors_says_what_it_shows(monkeypatch):
     drawn = [
-        study.Curve("error", name, *values)
+        study.Curve("error", "time, µs", name, *values)
         for name in ("quat", "dcm")
         for values in (
             ("rk4", [1.0, 2.0], [1e-3, 1e-5]),
@@ -205,11 +206,23 @@ def test_a_picture_of_errors_says_what_it_shows(monkeypatch):
 
 
 def test_a_picture_of_drifts_has_a_row_for_each_quantity(monkeypatch):
-    values = "quat", "rk4", [1.0, 1e5], [1e-9, 1e-4]
+    values = "steps", "quat", "rk4", [1.0, 1e5], [1e-9, 1e-4]
     drawn = [study.Curve(quantity, *values) for quantity in ("norm", "energy")]
     figure = study_figure(monkeypatch, drawn, "drift")
     assert labels(figure) == ["norm", "energy"]
     assert all(axes.get_xscale() == axes.get_yscale() == "log" for axes in figure.axes)
+
+
+def test_a_legend_of_ten_methods_is_whole(monkeypatch):
+    """With the longest names, in the narrowest picture."""
+    names = [*list(fa.METHODS)[:9], "kahan_li8 in float32"]
+    drawn = [study.Curve("error", "time", "quat", name, [1.0, 2.0], [1e-3, 1e-5]) for name in names]
+    figure = study_figure(monkeypatch, drawn, "all")
+    FigureCanvasAgg(figure).draw()
+    (legend,) = figure.legends
+    box, (width, height) = legend.get_window_extent(), figure.get_size_inches() * figure.dpi
+    assert min(box.x0, box.y0, width - box.x1, height - box.y1) >= 0.0
+    assert len(legend.get_texts()) == 10
 
 
 def test_a_method_looks_the_same_in_all_pictures():

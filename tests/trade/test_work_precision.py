@@ -66,6 +66,28 @@ def test_free_bodies_keep_what_they_keep(free):
     assert free.study.known.source == "the closed form"
 
 
+def test_evaluations_and_the_share_of_the_call_are_told(free):
+    """Four torques in a step of a body by rk4."""
+    rk4 = [r for r in free.rows if r.method == "rk4"]
+    assert {r.step_evaluations for r in rk4} == {4}
+    assert [r.evaluations for r in rk4] == [4 * r.n_steps for r in rk4]
+    assert 0.0 < rk4[-1].call_share < rk4[0].call_share <= 1.0
+    (exact,) = [r for r in free.rows if r.method == "exact"]
+    assert exact.evaluations == 0
+
+
+def test_numbers_of_steps_can_be_chosen():
+    options = {"methods": ["magnus4", "rk4"], "dtypes": ["float64"], "repeats": 1}
+    found = fa.work_precision(CONING, Q0, t_end=T_END, n_steps=[80, 20, 40], **options)
+    assert [(r.method, r.n_steps) for r in found.rows] == [
+        (method, n) for method in ("magnus4", "rk4") for n in (20, 40, 80)
+    ]
+    assert found.rows[1].order == pytest.approx(4, abs=0.3)
+    for wrong, error in (([0], ValueError), (20, TypeError), ([], ValueError)):
+        with pytest.raises(error, match="n_steps: found"):
+            fa.work_precision(CONING, Q0, t_end=T_END, n_steps=wrong, **options)
+
+
 def test_the_files_hold_the_rows(free, tmp_path):
     free.to_csv(tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="") as file:
