@@ -63,9 +63,6 @@ class Method:
         for samples.
     rate_calls : int
         Evaluations of the rate or torque in a step.
-    body_calls : int
-        Evaluations of the torque in a step of a body, if the method has others of a rate, which it
-        evaluates once for each time; else 0.
     limits : mapping of str to float
         Largest ``|w| h``, rad, of a step whose error is at most 0.1 rad per radian of rotation, for
         rates that change no faster than the body rotates. Keys are families of representations,
@@ -79,6 +76,9 @@ class Method:
         Quantities that the method conserves.
     exponentials : int
         Exponentials in a step.
+    body_calls : int
+        Evaluations of the torque in a step of a body, if the method has others of a rate, which it
+        evaluates once for each time; else 0.
     uses : tuple of str
         Formulas of a representation that the method needs.
     steps : Steps, optional
