@@ -85,21 +85,6 @@ def test_a_callers_options_change_no_rounding(options):
     assert user(1.0) == (0.0, 4.0)
 
 
-def test_python_and_users_code_give_the_same():
-    """By names and handed on, too."""
-
-    @njit
-    def handed(f, x, p, h):
-        return f(h=h, x=x, p=p)
-
-    ends = [run(START, P, 0.1, 1), step(START, P, 0.1), handed(step, START, P, 0.1)]
-    ends.append(step(h=0.1, p=P, x=START))
-    assert all(end == ends[0] for end in ends)
-    assert {type(x) for x in ends[1]} == {float}
-    # the kernels themselves, which fuse other products
-    q = scalar_function(kernels.exp)
-    u = (0.3, -2.0, 5.0)
-    assert np.abs(np.subtract(q(u), kernels.exp(u))).max() <= 2 * EPS
 
 
 @pytest.mark.parametrize("kind", [float, SINGLE])
@@ -134,23 +119,6 @@ def leaves(ty):
     return {ty}
 
 
-@pytest.mark.parametrize("kind", [float, SINGLE])
-def test_an_array_in_place_of_a_tuple(kind):
-    made = scalar_function(lambda x, p: (x * p[0], p[2] - p[1]), arrays={"p": 3})
-
-    @njit
-    def user(x, p):
-        return made(x, p)
-
-    numbers = np.arange(1.0, 13.0, dtype=kind)
-    expected = made(kind(2.0), tuple(map(kind, numbers[1:4])))
-    for p in (numbers[1:], numbers[1:4]):
-        assert user(kind(2.0), p) == expected == (4.0, 1.0)
-    assert user(kind(2.0), numbers[::4]) == (2.0, 4.0)
-    with pytest.raises(TypingError, match=r"found array\(float64, 2d, C\) among the arguments"):
-        user(kind(2.0), np.ones((3, 3)))
-    with pytest.raises(TypingError, match=r"found array\(int64, 1d, C\) among the arguments"):
-        user(kind(2.0), np.arange(3))
 
 
 def main_function(dispatcher):

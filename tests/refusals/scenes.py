@@ -191,6 +191,8 @@ REFUSED = [
     ("inertia: found 'round'; accepted: real numbers", inertia("round"), TypeError),
     ("inertia: found", inertia([1j, 1.0, 1.0]), TypeError),
     ("inertia: found 1e+300; accepted: up to", inertia([1e300] * 3)),
+    *[("inertia is …: too small; accepted: from 1e-100", inertia(x)) for x in (
+        [1e-120, 1.0, 1.0], [1.0, 1e-120, 1.0], [1.0, 1.0, 1e-120])],
     *[(message + "…accepted: …allow_unphysical=True", inertia(x)) for message, x in UNPHYSICAL],
     ("inertia: …moments of three bodies as (3, 3, 3)…allow_unphysical=True",
      inertia([[1, 1, 1], [1, 1, 2.0], [1, 1, 1]])),

@@ -66,17 +66,8 @@ class Writer:
     def number(self, depth: int = 0) -> str:
         r, v = self.r, self.names
         if depth > 2 or r.random() < 0.35:
-            return r.choice(
-                [
-                    *v["x"],
-                    *v["x"],
-                    self.constant(),
-                    "t",
-                    f"w[{r.randrange(3)}]",
-                    f"q[{r.randrange(4)}]",
-                    f"p[{r.randrange(2)}]",
-                ]
-            )
+            options = [*v["x"], *v["x"], self.constant(), "t", f"w[{r.randrange(3)}]"]
+            return r.choice([*options, f"q[{r.randrange(4)}]", f"p[{r.randrange(2)}]"])
         a, b = (self.number(depth + 1) for _ in range(2))
         options = [
             f"({a} + {b})", f"({a} - {b})", f"{a} * {b}", f"-{a}", f"abs({a})", f"{a} / (1.5 + {b} * {b})",
@@ -214,16 +205,8 @@ class Writer:
             self.put(depth, f"if {self.condition()}:")
             self.block(depth + 1, r.randrange(1, 3))
             if r.random() < 0.15:
-                self.put(
-                    depth + 1,
-                    r.choice(
-                        [
-                            f"return {self.result()}",
-                            f"return {self.result()}",
-                            "raise ValueError('far')",
-                        ]
-                    ),
-                )
+                ends = [f"return {self.result()}", f"return {self.result()}"]
+                self.put(depth + 1, r.choice([*ends, "raise ValueError('far')"]))
             if r.random() < 0.25:
                 self.put(depth, f"elif {self.condition()}:")
                 self.block(depth + 1, 1)
@@ -253,33 +236,14 @@ class Writer:
         r, v = self.r, self.names
         if v["u"] and r.random() < 0.7:
             u, a = r.choice(v["u"]), self.number(1)
-            self.put(
-                depth,
-                r.choice(
-                    [
-                        f"{u}[{r.randrange(3)}] = {a}",
-                        f"{u} *= {a}",
-                        f"{u} += np.array(w)",
-                        f"{u}[1:] -= {a}",
-                        f"{u}[{r.randrange(3)}] += {a}",
-                        f"{u}[:] = {a}",
-                        f"{u}[{u} > 0.5] = {a}",
-                    ]
-                ),
-            )
+            k, n = r.randrange(3), r.randrange(3)
+            ways = [f"{u}[{k}] = {a}", f"{u} *= {a}", f"{u} += np.array(w)", f"{u}[1:] -= {a}"]
+            ways += [f"{u}[{n}] += {a}", f"{u}[:] = {a}", f"{u}[{u} > 0.5] = {a}"]
+            self.put(depth, r.choice(ways))
         elif v["l"]:
             x = r.choice(v["l"])
-            self.put(
-                depth,
-                r.choice(
-                    [
-                        f"{x}[{r.randrange(3)}] = {self.number(1)}",
-                        f"{x} += [1.0]",
-                        f"{x}.append({self.number(1)})",
-                        f"{x}.reverse()",
-                    ]
-                ),
-            )
+            ways = [f"{x}[{r.randrange(3)}] = {self.number(1)}", f"{x} += [1.0]"]
+            self.put(depth, r.choice([*ways, f"{x}.append({self.number(1)})", f"{x}.reverse()"]))
         elif v["d"]:
             self.put(depth, f"{r.choice(v['d'])}['k'] = {self.number(1)}")
 
