@@ -85,8 +85,6 @@ def test_a_callers_options_change_no_rounding(options):
     assert user(1.0) == (0.0, 4.0)
 
 
-
-
 @pytest.mark.parametrize("kind", [float, SINGLE])
 def test_forms_of_tuples(kind):
     made = scalar_function(nested)
@@ -117,8 +115,6 @@ def leaves(ty):
     if isinstance(ty, types.BaseTuple):
         return set().union(*map(leaves, ty.types))
     return {ty}
-
-
 
 
 def main_function(dispatcher):
