@@ -207,6 +207,8 @@ class Output:
         #: (first, end) of these
         self.batches = schedule.batches if self.is_ring else [(0, schedule.saves)]
         self._left = self.batches[::-1]
+        #: the last attitudes that a function took
+        self._last: NDArray[Any] | None = None
         #: counts what is done
         self.done: Callable[[int], object] = lambda _: None
         self.results = arrays(max(end - first for first, end in self.batches))
@@ -238,8 +240,10 @@ class Output:
         saves, status, event_times = self.results
         # flags and times of events change later
         results = Results(saves[: end - first], status.copy(), event_times.copy())
+        piece = self._made(self._times[first:end], results, before=self._last)
         for take in self._takers:
-            take(self._made(self._times[first:end], results))
+            take(piece)
+        self._last = piece.last_taken
         self.done(end - first)
 
     def close(self) -> None:

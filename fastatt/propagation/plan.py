@@ -336,8 +336,9 @@ class Plan:
         return {name: slice(a, b) for name, (a, b) in zip(self.carried, ends, strict=True)}
 
     def _trajectory(
-        self, t: NDArray[np.float64], results: Results, *, one_body: bool, end: End | None = None
-    ) -> Trajectory:
+        self, t: NDArray[np.float64], results: Results, *, one_body: bool, end: End | None = None,
+        before: NDArray[Any] | None = None,
+    ) -> Trajectory:  # fmt: skip
         """The trajectory of the given saves."""
         saves, schedule, events = results.saves, self.schedule, self.choice.events
         return Trajectory(
@@ -352,6 +353,7 @@ class Plan:
             record=self.choice.method,
             carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
+            before=before,
             crossings=results.event_times if events else None,
             terminal=tuple(x.terminal for x in events),
             divisions=divisions_of(self.scene),

@@ -86,6 +86,8 @@ class Trajectory:
     terminal: tuple[bool, ...] = field(default=(), repr=False)
     #: what divided its steps
     divisions: Divisions = field(default=Divisions(), repr=False)
+    #: the quaternions of the save before, whose sign goes on; None of the first save
+    before: NDArray[Any] | None = field(default=None, repr=False)
     #: where the states of terms with names are in ``s``
     parts: Mapping[str, slice] = field(default_factory=dict, repr=False)
 
@@ -117,9 +119,19 @@ class Trajectory:
         each save of this trajectory has the sign that is nearer to the save before.
         """
         if self.attitude.to_quat_array is None:
-            return arrays.make_continuous(arrays.quaternions_of(self.dcm))
-        q = self._shaped(self.attitude.to_quat_array(self.state))
-        return q if self.attitude.family == "quaternion" else arrays.make_continuous(q)
+            q = arrays.quaternions_of(self.dcm)
+        else:
+            q = self._shaped(self.attitude.to_quat_array(self.state))
+        if self.attitude.family == "quaternion":
+            return q
+        if self.before is None:
+            return arrays.make_continuous(q)
+        return arrays.make_continuous(np.concatenate([self.before, q]))[1:]
+
+    @property
+    def last_taken(self) -> NDArray[Any] | None:
+        """The last attitudes, if ``q`` was asked for: then their sign goes on."""
+        return self.__dict__["q"][-1:].copy() if "q" in self.__dict__ else None
 
     @cached_property
     def dcm(self) -> NDArray[Any]:

@@ -186,7 +186,9 @@ def test_the_sign_of_attitudes_is_kept(representation, tmp_path):
     written = fa.interchange.read_aem(tmp_path / "aem").segments[0].q
     between = fa.interpolate(run, np.linspace(0.0, 60.0, 4001)).q
     ensemble = fa.propagate(body, [start[0]] * 2, start[1], **options).q
-    for q in (run.q, to_file.q, between, written, ensemble):
+    pieces = []
+    fa.propagate(body, *start, **options, on_save=lambda piece: pieces.append(piece.q.copy()))
+    for q in (run.q, to_file.q, between, written, ensemble, np.concatenate(pieces)):
         assert ((q[1:] * q[:-1]).sum(axis=-1) > 0.9).all()
     wanted, _ = fa.closed_form.free_body(*start, body.inertia, run.t)
     assert fa.angle_between(run.q, wanted).max() < (0.1 if representation == "euler313" else 1e-4)
