@@ -57,10 +57,16 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
         raise TraceError(f"recursion of {plain.__name__}")
     frozen.check(plain, texts=True)
     code, scope, within = plain.__code__, plain.__globals__, (*within, plain)
-    names = sorted(frozen.names_of(code))
-    values = ((k, portable(scope[k], within)) for k in names if k in scope)
+    n, named = code.co_argcount, plain.__kwdefaults__ or {}
+    names = code.co_varnames[n : n + code.co_kwonlyargcount]
+    if named.keys() != {*names}:
+        raise TraceError(f"arguments of {plain.__name__} by name alone that have no default")
+    if names:  # Numba has none
+        code = code.replace(co_argcount=n + len(names), co_kwonlyargcount=0)
+    used = sorted(frozen.names_of(code))
+    values = ((k, portable(scope[k], within)) for k in used if k in scope)
     cells = (portable(x.cell_contents, within) for x in plain.__closure__ or ())
-    defaults = portable(plain.__defaults__, within)
+    defaults = portable((*(plain.__defaults__ or ()), *map(named.get, names)) or None, within)
     # without references among its objects, whose form depends on who else holds them
     return "function", marshal.dumps(code, 2), tuple(values), tuple(cells), defaults
 

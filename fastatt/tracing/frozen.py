@@ -14,6 +14,8 @@ import enum
 import functools
 import inspect
 import linecache
+import math
+import re
 import types
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
@@ -22,6 +24,7 @@ import numpy as np
 from numba.extending import is_jitted
 
 from fastatt.tracing.nodes import RefusedError, TraceError
+from fastatt.tracing.unknown import Unknown, is_number
 
 _SOURCES = frozenset((
     "random numpy.random _random time datetime os posix secrets uuid threading _thread io _io "
@@ -106,13 +109,29 @@ def codes_of(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def names_of(code: types.CodeType) -> set[str]:
-    """Names of globals and of attributes in code."""
-    return {name for part in codes_of(code) for name in part.co_names}
+    """Names of globals in code."""
+    return {name for op, name, _ in _instructions(code) if op in ("LOAD_GLOBAL", "LOAD_NAME")}
 
 
 # what a function's code does, without running it
 
 
+#: what reads and changes only what the function has made itself, by instructions
+_HARMLESS = re.compile(
+    "(POP_)?JUMP[A-Z_]*|(LOAD|STORE|DELETE)_FAST[A-Z_]*|UNARY_[A-Z]+|" + "|".join((
+        "BEFORE_WITH BINARY_OP BINARY_SLICE BINARY_SUBSCR BUILD_CONST_KEY_MAP BUILD_LIST "
+        "BUILD_MAP BUILD_SET BUILD_SLICE BUILD_STRING BUILD_TUPLE CACHE CALL CALL_FUNCTION_EX "
+        "CALL_INTRINSIC_1 CALL_KW CLEANUP_THROW COMPARE_OP CONTAINS_OP CONVERT_VALUE COPY "
+        "COPY_FREE_VARS DELETE_SUBSCR DICT_MERGE DICT_UPDATE END_FOR END_SEND EXTENDED_ARG "
+        "FOR_ITER GET_ITER GET_LEN GET_YIELD_FROM_ITER IMPORT_FROM IS_OP KW_NAMES LIST_APPEND "
+        "LIST_EXTEND LIST_TO_TUPLE LOAD_ASSERTION_ERROR LOAD_ATTR LOAD_CLOSURE LOAD_CONST "
+        "LOAD_METHOD LOAD_SUPER_ATTR MAKE_CELL MAKE_FUNCTION MAP_ADD MATCH_CLASS MATCH_KEYS "
+        "MATCH_MAPPING MATCH_SEQUENCE NOP POP_TOP PRECALL PUSH_EXC_INFO PUSH_NULL RAISE_VARARGS "
+        "RERAISE RESUME RETURN_CONST RETURN_GENERATOR RETURN_VALUE SEND SET_ADD "
+        "SET_FUNCTION_ATTRIBUTE SET_UPDATE STORE_SLICE STORE_SUBSCR SWAP TO_BOOL UNPACK_EX "
+        "UNPACK_SEQUENCE YIELD_VALUE "
+    ).split())
+)  # fmt: skip
 _LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF")
 _CATCHES = ("POP_EXCEPT", "CHECK_EXC_MATCH", "WITH_EXCEPT_START")
 _TEXTS = ("str", "repr", "format", "ascii")
@@ -124,6 +143,7 @@ _WRITES = {
     **dict.fromkeys(("STORE_DEREF", "DELETE_DEREF"), "the statement nonlocal"),
     "IMPORT_NAME": "the statement import",
 }
+_KNOWN = {*_LOADS, *_CATCHES, *_MAKES_TEXT, *_WRITES}
 
 
 @functools.lru_cache(maxsize=4096)
@@ -165,6 +185,8 @@ def check(function: types.FunctionType, *, texts: bool) -> None:
         if op in _CATCHES and not texts:
             raise placed(f"{function.__name__} catches errors", *at)
         before = name if op == "LOAD_CONST" else None
+        if not (op in _KNOWN or _HARMLESS.fullmatch(op)):
+            refuse(f"the instruction {op}, which is not known", SAME, *at)
 
 
 def is_source(value: Any) -> bool:
@@ -192,21 +214,54 @@ def _computes(value: Any) -> bool:
 # values that are read and not written
 
 
-def _unwritten(base: type, names: str) -> type:
+_NOTHING = object()
+
+
+def _unwritten(cls: type, names: str) -> None:
+    """Let functions of a class refuse to change it; in messages it has its base's name."""
+    cls.__name__ = cls.__mro__[1].__name__
+
     def no(*_: Any, **__: Any) -> NoReturn:
-        raise RefusedError(f"a {base.__name__} from outside the function that it changes")
+        raise RefusedError(f"a {cls.__name__} from outside the function that it changes")
 
-    return type(base.__name__, (base,), dict.fromkeys(names.split(), no))
+    for name in names.split():
+        setattr(cls, name, no)
 
 
-_LIST = _unwritten(
-    list,
+class _LIST(list[Any]):
+    pass
+
+
+class _DICT(dict[Any, Any]):
+    """A dictionary whose keys are compared one by one with a number that records."""
+
+    def _key(self, key: Any, *, has_it: bool = False) -> Any:
+        if not isinstance(key, Unknown):
+            return key
+        *others, last = [k for k in self if is_number(k)] or [math.nan]
+        for k in others:
+            if k == key:
+                return k
+        if has_it:
+            key.recorder.guard("==", key, last, KeyError)
+        return last if has_it or last == key else _NOTHING
+
+    def __getitem__(self, key: Any) -> Any:
+        return super().__getitem__(self._key(key, has_it=True))
+
+    def __contains__(self, key: Any) -> bool:
+        return super().__contains__(self._key(key))
+
+    def get(self, key: Any, other: Any = None) -> Any:
+        """The value of a key, or another."""
+        return super().get(self._key(key), other)
+
+
+_unwritten(
+    _LIST,
     "append extend insert pop remove clear sort reverse __setitem__ __delitem__ __iadd__ __imul__",
 )
-_DICT = _unwritten(dict, "update setdefault pop popitem clear __setitem__ __delitem__ __ior__")
-
-
-_NOTHING = object()
+_unwritten(_DICT, "update setdefault pop popitem clear __setitem__ __delitem__ __ior__")
 
 
 class Held:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import functools
+import itertools
 import math
 import operator
 import types
@@ -109,6 +110,16 @@ def _interp(x: Any, xs: Any, ys: Any) -> Any:
     return recorder.choose(">=", x, xs[-1], ys[-1], found)
 
 
+def _select(tests: Any, values: Any, default: Any = 0) -> Any:
+    for test, value in reversed([*zip(tests, values, strict=True)]):
+        default = _where(test, value, default)
+    return default
+
+
+def _where(test: Any, yes: Any, no: Any) -> Any:
+    return each(lambda c, a, b: a if c else b, test, yes, no)
+
+
 _BOTH: dict[str, Callable[..., Any]] = {
     "isnan": lambda x: each(lambda y: bool(y != y), x),  # noqa: PLR0124
     "isinf": lambda x: each(lambda y: bool(abs(y) == math.inf), x),
@@ -119,10 +130,10 @@ _BOTH: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 _OF_NUMPY: dict[str, Callable[..., Any]] = _BOTH | {
     "norm": _norm, "clip": _clip, "array": _array, "asarray": _asarray, "interp": _interp,
-    "where": lambda test, x, y: each(lambda c, a, b: a if c else b, test, x, y),
+    "where": _where,
     "max": _reduced("maximum"), "min": _reduced("minimum"), "power": _BOTH["pow"],
     "square": lambda x: each(lambda y: y * y, x), "reciprocal": lambda x: 1.0 / x,
-    "float64": lambda x: x,
+    "float64": lambda x: x, "select": _select,
     "deg2rad": _BOTH["radians"], "rad2deg": _BOTH["degrees"],
 }  # fmt: skip
 _OF_MATH: dict[str, Callable[..., Any]] = _BOTH | {
@@ -237,6 +248,13 @@ NAMES = {
 }  # fmt: skip
 
 
+#: by identity too: they call operators of their arguments, and nothing else
+_AS_THEY_ARE = {
+    id(functools.reduce), *(id(x) for x in vars(itertools).values() if isinstance(x, type)),
+    *(id(x) for x in vars(operator).values() if isinstance(x, types.BuiltinFunctionType)),
+} - {id(operator.is_), id(operator.is_not)}  # fmt: skip
+
+
 # arrays from outside, and what replaces values of libraries
 
 
@@ -275,7 +293,7 @@ def replaced(value: Any) -> Any:
         made = value.copy().view(_Array)
         made.flags.writeable = False
         return made
-    if hasattr(type(value), "traced_at"):
+    if hasattr(type(value), "traced_at") or id(value) in _AS_THEY_ARE:
         return value
     if value is math or value is np or value is np.linalg:
         return Library(value)

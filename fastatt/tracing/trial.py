@@ -209,9 +209,9 @@ def agrees(point: Numbers, found: Numbers, in_python: Any) -> bool:
         # rounding of numbers that nearly cancel, or a condition near its border
         if moved is None or not close(true, moved, 1e-3 * np.abs(true - found).max()):
             return False
-    is_error = bool(np.isnan(found).all())
-    such_as = ", such as NaN for whole numbers beyond 64 bits" if is_error else ""
-    raise TraceError(f"other values than in Python{such_as}")
+    such_as = "those of np.float32, or of a class with operators of its own"
+    such_as = "NaN for whole numbers beyond 64 bits" if np.isnan(found).all() else such_as
+    raise TraceError(f"other values than in Python, such as {such_as}")
 
 
 def same(a: Numbers, b: Numbers) -> bool:

@@ -199,7 +199,7 @@ class Unknown:
             raise TraceError("round to some digits")
         return whole("rint", self)
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__ = _wanted("a key of a dictionary or a set")
     __pos__ = lambda self: self  # noqa: E731
     __bool__ = lambda self: bool(self != 0.0)  # noqa: E731
     __floor__ = lambda self: whole("floor", self)  # noqa: E731

@@ -275,6 +275,7 @@ class UserFunction:
         is_row = isinstance(result, (tuple, list))
         parts = [result] if not states else list(result) if is_row else []
         found = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
+        found = [[x[()] if type(x) is np.ndarray and not x.ndim else x for x in y] for y in found]
         row, scalars = (
             [x for part in found for x in part],
             (Unknown, float, int, np.number, np.bool_),
@@ -285,11 +286,16 @@ class UserFunction:
                 "a number that crosses zero, such as w[0] - 0.3 for w[0] > 0.3"
             )
         if [*map(len, found)] != sizes or not all(isinstance(x, scalars) for x in row):
-            length = f" of {len(result)}" if isinstance(result, (tuple, list, np.ndarray)) else ""
+            of = ""
+            if isinstance(result, (tuple, list, np.ndarray)):
+                size = result.shape if isinstance(result, np.ndarray) else (len(result),)
+                others = [type(x).__name__ for x in row if not isinstance(x, scalars)]
+                of = f" of {size[0] if len(size) == 1 else size}"
+                of += f" with {others[0]}" if others else ""
             name = "float" if isinstance(result, Unknown) else type(result).__name__
             with_states = f", and a tuple of {states}, the time derivatives of s" if states else ""
             raise RefusedError(
-                f"a result that is {name}{length}; accepted: {sizes[0]} numbers, "
+                f"a result that is {name}{of}; accepted: {sizes[0]} numbers, "
                 f"{self.signature.unit}{with_states}"
             )
         return row

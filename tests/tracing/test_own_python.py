@@ -2,6 +2,9 @@
 
 import dataclasses
 import enum
+import functools
+import itertools
+import operator
 import time
 from typing import NamedTuple
 
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+from fastatt.tracing import frozen
 from fastatt.tracing.user import user_function
 
 POINTS = [(0.7, (0.5, -0.5, 0.5, 0.5), (x, -0.4, 0.9), ()) for x in (0.3, 60.0)]
@@ -294,3 +298,63 @@ def test_an_object_may_raise_anything(error):
     assert user_function(thing, "torque", 0).call(*POINTS[0])[0] == pytest.approx(-0.06)
     with pytest.raises(TypeError, match=r"^torque: .*; and not compiled: a Refuses"):
         user_function(lambda t, q, w, p: (thing.k, 0.0, 0.0), "torque", 0)
+
+
+# libraries, dictionaries and arguments by name
+
+
+TABLE = {0: 1.0, 1: 2.0, 2: 4.0}
+SINGLE, SINGLES = np.float32(0.1), np.array([0.1, 0.2, 0.3], dtype=np.float32)
+
+
+def by_name(x, *, k=2.0):
+    return k * x
+
+
+@pytest.mark.parametrize(
+    "torque",
+    [
+        lambda t, q, w, p: (np.select([t < 1.0, w[0] < 9.0], [w[1], 2.0], 3.0), np.array(t), 0.0),
+        lambda t, q, w, p: np.select([np.array(w) < 0.0, np.array(w) > 1.0], [t, w], 0.5),
+        lambda t, q, w, p: (functools.reduce(lambda a, b: a * b, w), sum(itertools.chain(w)), 0.0),
+        lambda t, q, w, p: (functools.reduce(operator.add, w, t), operator.neg(t), 0.0),
+        lambda t, q, w, p: (TABLE[int(t) % 3], TABLE.get(int(t) % 5, 7.0), float(int(t) in TABLE)),
+        lambda t, q, w, p, *, k=0.5: (k * w[0], by_name(t), by_name(t, k=k)),
+        lambda t, q, w, p, *, k=0.5: (halved(t) * k, by_name(t), by_name(t, k=k)),
+        lambda t, q, w, p: ({0: 1.0, 1: 2.0}[int(t) % 2], 0.0, 0.0),
+        lambda t, q, w, p: (float(SINGLE) * t, 0.0, 0.0),
+        lambda t, q, w, p: np.diag(SINGLES) @ np.array(w),
+    ],
+)
+def test_what_libraries_and_dictionaries_give(torque):
+    made = user_function(torque, "torque", 0)
+    for t in (0.5, 1.5, 2.5, 6.5):
+        point = (t, *POINTS[0][1:])
+        np.testing.assert_allclose(made.call(*point), np.array([float(x) for x in torque(*point)]))
+
+
+@pytest.mark.parametrize(
+    ("torque", "message"),
+    [
+        (lambda t, q, w, p: (SINGLE * t, 0.0, 0.0), "other values than in Python, .* np.float32"),
+        (lambda t, q, w, p: (SINGLES[0] * t, 0.0, 0.0), "than in Python, .* np.float32"),
+        (lambda t, q, w, p: ("a", 0.0, 0.0), "a result that is tuple of 3 with str; accepted: 3"),
+        (lambda t, q, w, p: np.ones((3, 1)), r"is ndarray of \(3, 1\) with ndarray; acc"),
+        (lambda t, q, w, p: {t: 1.0}[t], "not known beforehand, where Python wants a key"),
+    ],
+)
+def test_messages_are_in_the_users_words(torque, message):
+    with pytest.raises(TypeError, match=message):
+        user_function(torque, "torque", 0)
+
+
+def test_an_attribute_of_a_globals_name_is_no_global():
+    box = Box()
+    box.time = 3.0
+    assert user_function(lambda t, q, w, p: (box.time * t, 0.0, 0.0), "torque", 0).followed
+
+
+def test_an_instruction_that_is_not_known_is_refused(monkeypatch):
+    monkeypatch.setattr(frozen, "_instructions", lambda code: [("LOAD_ELSEWHERE", "x", 1)])
+    with pytest.raises(TypeError, match="the instruction LOAD_ELSEWHERE, which is not known"):
+        user_function(lambda t, q, w, p: w, "torque", 0)

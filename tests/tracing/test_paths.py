@@ -648,7 +648,7 @@ def tried(monkeypatch, change):
 def test_another_value_in_python_is_not_trusted(monkeypatch):
     """Also where a rare condition decides."""
     made = tried(monkeypatch, lambda x: x._replace(op={"-": "+"}.get(x.op, x.op)))
-    assert made.reason == "other values than in Python"
+    assert made.reason.startswith("other values than in Python")
     assert tried(monkeypatch, lambda node: node).followed
 
 
