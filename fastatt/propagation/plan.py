@@ -178,7 +178,10 @@ class Plan:
         assert self.program is not None
         params = np.ascontiguousarray(np.atleast_2d(self.packed.params), dtype=np.float64)
         # parameters beyond the precision's range, and damping beyond the method's limit
-        lost = (np.abs(params) > np.finfo(self.dtype).max).any(axis=-1)
+        largest = np.finfo(self.dtype).max
+        lost: Any = np.zeros(len(params), np.bool_)
+        if not -largest <= params.min(initial=0.0) <= params.max(initial=0.0) <= largest:
+            lost = (np.abs(params) > largest).any(axis=-1)
         flags = lost * FLAGS(Status.NON_FINITE)
         flags = flags | self.limits.too_damped * FLAGS(Status.STEP_TOO_LARGE)
         bounded = Bounded(self.limits.turn, self.attitude, self.dtype)
@@ -494,8 +497,9 @@ def _shared_parameters(packed: Packed, without: range) -> tuple[int, ...]:
     if params.ndim == 1 or len(params) < _MANY:
         return ()
     bits = params.view(np.int64)
-    same = (bits == bits[0]).all(axis=0)
-    return tuple(k for k in np.flatnonzero(same).tolist() if k not in without)
+    # most of those that differ do so among the first
+    same = np.flatnonzero((bits[:_MANY] == bits[0]).all(axis=0)).tolist()
+    return tuple(k for k in same if k not in without and (bits[:, k] == bits[0, k]).all())
 
 
 def _called(resources: Any) -> str:
