@@ -18,7 +18,7 @@ from fastatt.engine.run import Results, Run
 from fastatt.engine.status import Status
 from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
-from fastatt.propagation.schedule import RING, Schedule, refuse_pairs
+from fastatt.propagation.schedule import Schedule, refuse_pairs
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.threads import number_of
 
@@ -26,6 +26,8 @@ from fastatt.threads import number_of
 _LITTLE = 1 << 30
 # body-steps below which one thread is as fast as several; 2 ms of the slowest method
 _SHORT = 65_536
+# numbers of a history that are written at a time, before the run
+_WRITTEN = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -150,8 +152,9 @@ class History:
             }  # fmt: skip
             np.lib.format.write_array_header_1_0(file, empty)
             self._begin = file.tell()
-            blank = np.full((RING, bodies, values), np.nan, dtype)
-            for first in range(0, saves, RING):
+            many = min(saves, 1 + _WRITTEN // (bodies * values))
+            blank = np.full((many, bodies, values), np.nan, dtype)
+            for first in range(0, saves, many):
                 file.write(blank[: saves - first].data)
             file.flush()
             os.fsync(file.fileno())  # of which a disk that is full may tell
