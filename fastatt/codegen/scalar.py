@@ -35,8 +35,7 @@ from fastatt.codegen.emitter import POINTERS, Emitter
 from fastatt.codegen.instructions import I64, Code
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
-from fastatt.tracing.graph import flattened
-from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.graph import Recorded, flattened
 from fastatt.tracing.trace import traceable
 from fastatt.tracing.traced import Traced, Tuple, flattened_forms, trace
 

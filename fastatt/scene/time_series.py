@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import functions, graph
-from fastatt.tracing.graph import Double
-from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.graph import Double, Recorded
 from fastatt.tracing.replacements import unknown_in
 
 Numbers = NDArray[np.float64]

@@ -16,8 +16,8 @@ from typing import Any
 
 from fastatt.kernels import trig
 from fastatt.tracing import functions, graph
-from fastatt.tracing.graph import Condition, Double, Number
-from fastatt.tracing.nodes import COMPARISONS, Composed, TraceError
+from fastatt.tracing.graph import Composed, Condition, Double, Number
+from fastatt.tracing.nodes import COMPARISONS, TraceError
 from fastatt.tracing.operations import OPERATIONS, applied, as_float
 
 _STEP = 2.0**-17
@@ -173,7 +173,7 @@ def _dual(x: Any, slopes: Sequence[Any]) -> Any:
 
 
 def _raised(x: Any, power: Any) -> Any:
-    return functions.raised(x, power) if isinstance(x, Number) else float(x) ** power
+    return graph.raised(x, power) if isinstance(x, Number) else float(x) ** power
 
 
 def _sincos(formula: Callable[..., Any], x: Dual) -> tuple[Any, Any]:

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Sequence
 from functools import reduce
 from typing import Any
 
-from fastatt.tracing.graph import choose
-from fastatt.tracing.nodes import Recorded
+from fastatt.tracing.graph import Recorded, choose
 from fastatt.tracing.operations import own_type_of
 from fastatt.tracing.trace import Traceable
 

@@ -1,52 +1,19 @@
-"""Functions of traced numbers that are not operators: powers, remainders, look-ups, calls."""
+"""Functions of traced numbers that are not operators: the larger of two, look-ups, calls."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from fastatt.tracing.graph import Double, Number, _lifted, _made, _pair, apply, choose
+from fastatt.tracing.graph import (
+    Double,
+    Number,
+    _lifted,
+    _made,
+    _pair,
+    composed_of,
+)
 from fastatt.tracing.native import SHORTER
-from fastatt.tracing.nodes import Composed, Recorded, TraceError, composed_of
-
-
-def raised(x: Any, power: Any) -> Any:
-    """x to a whole or half power of size at most 64."""
-    if isinstance(power, Recorded):
-        raise TraceError("a power that is not known beforehand")
-    if isinstance(x, Composed):
-        return x.raised(power)
-    if not abs(power) <= 64 or 2 * power != int(2 * power):
-        raise TraceError(f"a power of {power}; accepted are whole ones and halves, up to 64")
-    if power != int(power):
-        whole = int(abs(power) - 0.5)
-        result = apply("sqrt", x) * raised(x, whole)
-        return 1.0 / result if power < 0 else result
-    n, result, square = abs(int(power)), 1.0, x
-    while n:
-        if n & 1:
-            result = result * square
-        square = square * square if n > 1 else square
-        n >>= 1
-    return 1.0 / result if power < 0 else result
-
-
-def divided(x: Any, y: Any) -> tuple[Any, Any]:
-    """(x // y, x % y) as in Python: the whole number below, and a remainder with the sign of y.
-
-    With fused multiplications the remainder has Python's bits while ``|x/y|`` < 2⁵³; without, the
-    results are those of x moved by an ulp. Division by 0 gives a remainder of NaN.
-    """
-    below, size = y < 0.0, abs(y)
-    dividend = choose(below, -x, x)
-    whole = dividend / size
-    whole = apply("floor", whole) if isinstance(whole, Recorded) else math.floor(whole)
-    rest = dividend - whole * size
-    # a quotient may be rounded up to the next whole number, but never down below one
-    past = rest < 0.0
-    rest = choose(past, rest + size, rest)
-    return choose(past, whole - 1.0, whole), choose(below, -rest, rest)
 
 
 def larger(a: Any, b: Any) -> Any:

@@ -9,21 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fastatt.tracing.nodes import (
-    Composed,
-    Node,
-    Recorded,
-    TraceError,
-    composed_of,
-    functions_of_numbers,
-    operands,
-)
+from fastatt.tracing.nodes import Node, TraceError, operands
 
 
 class Graph:
@@ -87,6 +80,66 @@ class Graph:
             span = i in self._spans or self.nodes[i].op == "const"
             self._of_time.append((timed, span or (bool(parts) and all(b for _, b in parts))))
         return self._of_time[at]
+
+
+# traced numbers
+
+
+class Recorded:
+    """A traced number: of a graph, or composed of numbers of a graph."""
+
+    __slots__ = ()
+    # numpy's numbers call its operators
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    def own_type(self) -> Callable[[Any], Any]:
+        """``type(x)``: a function that converts to the precision of x."""
+        return type(self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __bool__(self) -> bool:
+        return bool(self != 0.0)  # type: ignore[comparison-overlap]
+
+    def __divmod__(self, other: Any) -> Any:
+        return divided(self, other)
+
+    def __rdivmod__(self, other: Any) -> Any:
+        return divided(other, self)
+
+    __floordiv__ = lambda self, other: divmod(self, other)[0]  # noqa: E731
+    __rfloordiv__ = lambda self, other: divmod(other, self)[0]  # noqa: E731
+    __mod__ = lambda self, other: divmod(self, other)[1]  # noqa: E731
+    __rmod__ = lambda self, other: divmod(other, self)[1]  # noqa: E731
+
+    def __rpow__(self, base: Any) -> Any:
+        return raised(base, self)
+
+    def __float__(self) -> Any:
+        raise TraceError("a number that is not known beforehand, where Python wants a known one")
+
+    __int__ = __index__ = __float__
+
+
+class Composed(Recorded):
+    """A number composed of numbers of a graph, such as a dual number.
+
+    Its class has ``cast``, ``applied``, ``raised``, ``chosen``, ``larger``, ``opaque`` and
+    ``called``, which replace the functions of these names.
+    """
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+def composed_of(*values: Any) -> Any:
+    """The class of the first composed number, None if there is none."""
+    return next((type(x) for x in values if isinstance(x, Composed)), None)
 
 
 def _lifted(x: Any, like: Number) -> Number:
@@ -221,7 +274,7 @@ class Number(Recorded):
     __truediv__, __rtruediv__ = _quotient, _turned(_quotient)
 
     def __pow__(self, power: Any) -> Any:
-        return functions_of_numbers().raised(self, power)
+        return raised(self, power)
 
     def __neg__(self) -> Any:
         node = self.graph.nodes[self.at]
@@ -369,6 +422,44 @@ def apply(function: str, x: Any) -> Any:
     if not isinstance(x, Number):
         raise TraceError(f"{function} of {type(x).__name__}")
     return _made(x.graph, function, x.precision, x.at)
+
+
+def raised(x: Any, power: Any) -> Any:
+    """x to a whole or half power of size at most 64."""
+    if isinstance(power, Recorded):
+        raise TraceError("a power that is not known beforehand")
+    if isinstance(x, Composed):
+        return x.raised(power)
+    if not abs(power) <= 64 or 2 * power != int(2 * power):
+        raise TraceError(f"a power of {power}; accepted are whole ones and halves, up to 64")
+    if power != int(power):
+        whole = int(abs(power) - 0.5)
+        result = apply("sqrt", x) * raised(x, whole)
+        return 1.0 / result if power < 0 else result
+    n, result, square = abs(int(power)), 1.0, x
+    while n:
+        if n & 1:
+            result = result * square
+        square = square * square if n > 1 else square
+        n >>= 1
+    return 1.0 / result if power < 0 else result
+
+
+def divided(x: Any, y: Any) -> tuple[Any, Any]:
+    """(x // y, x % y) as in Python: the whole number below, and a remainder with the sign of y.
+
+    With fused multiplications the remainder has Python's bits while ``|x/y|`` < 2⁵³; without, the
+    results are those of x moved by an ulp. Division by 0 gives a remainder of NaN.
+    """
+    below, size = y < 0.0, abs(y)
+    dividend = choose(below, -x, x)
+    whole = dividend / size
+    whole = apply("floor", whole) if isinstance(whole, Recorded) else math.floor(whole)
+    rest = dividend - whole * size
+    # a quotient may be rounded up to the next whole number, but never down below one
+    past = rest < 0.0
+    rest = choose(past, rest + size, rest)
+    return choose(past, whole - 1.0, whole), choose(below, -rest, rest)
 
 
 def number(graph: Graph, x: Any, precision: str) -> Number:

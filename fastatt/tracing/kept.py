@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.tracing import functions, graph
-from fastatt.tracing.graph import Condition, Double
-from fastatt.tracing.nodes import COMPARISONS, Node, Recorded, operands
+from fastatt.tracing.graph import Condition, Double, Recorded
+from fastatt.tracing.nodes import COMPARISONS, Node, operands
 from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.source import evaluated, performed
 

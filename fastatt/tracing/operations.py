@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fastatt.tracing import functions, graph
-from fastatt.tracing.nodes import Recorded
+from fastatt.tracing import graph
+from fastatt.tracing.graph import Recorded
 
 Function = Callable[..., Any]
 #: the extremes of a result are where arguments are extreme or zero
@@ -82,7 +82,7 @@ def _sign(x: Any) -> Any:
 
 
 def _fmod(x: Any, y: Any) -> Any:
-    rest = functions.divided(abs(x), abs(y))[1]
+    rest = graph.divided(abs(x), abs(y))[1]
     return graph.choose(x < 0.0, -rest, rest)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from fastatt.tracing import frozen
-from fastatt.tracing.nodes import COMPARISONS, Recorded, TraceError
+from fastatt.tracing.graph import Recorded
+from fastatt.tracing.nodes import COMPARISONS, TraceError
 from fastatt.tracing.operations import FUNCTIONS, OPERATIONS
 from fastatt.tracing.unknown import Unknown, is_whole, whole
 

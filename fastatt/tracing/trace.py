@@ -18,7 +18,8 @@ from numba.extending import is_jitted
 
 from fastatt.tracing import functions, graph
 from fastatt.tracing.frozen import Freezer, check, guarded, plain
-from fastatt.tracing.nodes import Recorded, TraceError
+from fastatt.tracing.graph import Recorded
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.operations import OPERATIONS, own_type_of
 from fastatt.tracing.replacements import replaced
 from fastatt.tracing.rewriting import rewritten

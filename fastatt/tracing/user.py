@@ -19,8 +19,9 @@ from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import frozen, functions, graph, trial
 from fastatt.tracing.called import ENTRY, compiled, portable
+from fastatt.tracing.graph import Recorded
 from fastatt.tracing.kept import Kept
-from fastatt.tracing.nodes import Recorded, RefusedError, TraceError
+from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.paths import follow
 from fastatt.tracing.unknown import Unknown
 
