@@ -160,8 +160,21 @@ def headings(page: Path) -> set[str]:
 # the pages
 
 
-def test_there_are_pages():
+def test_pages_examples_and_commands_are_found():
     assert {p.stem for p in PAGES} > {"README", "index", "tutorial", "methods", "status"}
+    texts = [p.read_text(encoding="utf-8") for p in PAGES]
+    found = [x for text in texts for x in examples(text)]
+    assert len(found) > 100
+    assert sum(x.output is not None for x in found) > 50
+    assert {x.split()[0] for t in texts for x in (*in_blocks(t), *in_text(t))} >= {"make", "pytest"}
+    assert refused("`make no-such-target`, `pytest tests/each.py -k no_such_name`")
+
+
+def test_what_an_example_does_not_print_is_noticed():
+    page = "```python\nprint(1)\n```\n\n```text\n{}\n```\n"
+    assert failures(page.format(1), "page.md") == []
+    assert "page.md, line 2" in failures(page.format(2), "page.md")[0]
+    assert "ZeroDivisionError" in failures(page.replace("(1)", "(1 / 0)"), "page.md")[0]
 
 
 def test_every_page_is_in_the_navigation_once():
@@ -240,55 +253,3 @@ def test_readme_is_short_and_leads_to_every_guide():
     linked = {(README.parent / t).resolve() for t, _ in LINK.findall(text)}
     wanted = [DOCS / "index.md", DOCS / "tutorial.md", *(DOCS / "guides").glob("*.md")]
     assert [p.name for p in wanted if p not in linked] == []
-
-
-# the tests themselves
-
-PAGE = """# Page
-
-```python
-x = 1
-print(x)
-```
-
-```text
-1
-```
-
-`pytest tests/each.py -k no_such_name`, `x = 1`, [x](page.md#page) [y](page.md#z) [z](gone.md)
-
-```python
-print(x / 0)
-```
-
-```console
-$ run
-```
-
-```text
-not an output
-```
-
-```sh
-make trade            # a comment
-make no-such-target
-python bench/no_such_script.py
-```
-"""
-
-
-def test_what_is_wrong_with_a_page_is_noticed(tmp_path):
-    """Names carry over from block to block; errors have the page's lines."""
-    first, second = examples(PAGE)
-    assert first == Example(4, "x = 1\nprint(x)\n", "1\n")
-    assert (second.line, second.output) == (15, None)
-    (only,) = failures(PAGE, "page.md")
-    assert "page.md, line 15" in only
-    assert "ZeroDivisionError" in only
-    (wrong, _) = failures(PAGE.replace("```text\n1\n", "```text\n2\n"), "page.md")
-    assert "page.md, line 4" in wrong
-    (tmp_path / "page.md").write_text(PAGE)
-    assert astray(tmp_path / "page.md") == ["page.md#z", "gone.md#"]
-    assert [line.partition(": no ")[2] for line in refused(PAGE)] == [
-        "no-such-target", "bench/no_such_script.py", "no_such_name",
-    ]  # fmt: skip

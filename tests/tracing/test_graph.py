@@ -241,14 +241,6 @@ def value(graph, result, *given, kind="double"):
     return found
 
 
-def test_equal_operations_are_one_and_known_numbers_drop_out():
-    graph, x, y = numbers()
-    same = (x * y + 0.0) * 1.0 + x * y
-    flat = Flat(graph, [same, 0.0 * x, x - x], "double")
-    assert [n.op for n in flat.nodes] == ["in", "in", "*", "+", "const"]
-    assert source.function(flat)(3.0, 5.0) == (30.0, 0.0, 0.0)
-
-
 def test_the_sign_of_zero_counts():
     """0.0 and −0.0 are two constants, whichever comes first."""
     graph, x, y = numbers()
@@ -258,17 +250,6 @@ def test_the_sign_of_zero_counts():
     assert value(graph, down, 3.0) == -math.inf
     flat = Flat(graph, [up, down], "double")
     assert source.function(flat)(3.0, 5.0) == (math.inf, -math.inf)
-
-
-def test_nested_conditions_choose_once():
-    """As execution paths are merged: a if both hold, else b."""
-    graph = Graph()
-    x, y, a, b = graph.inputs("double", "x", 4)
-    flat = Flat(graph, [choose(x < 1.0, choose(y < 1.0, a, b), b)], "double")
-    assert [node.op for node in flat.nodes].count("select") == 1
-    call = source.function(flat)
-    for x, y in itertools.product((0.5, 1.5, math.nan), repeat=2):
-        assert call(x, y, 3.0, 4.0) == ((3.0 if x < 1.0 and y < 1.0 else 4.0),)
 
 
 @every_precision
@@ -338,21 +319,6 @@ def test_text():
     assert str(source.GraphText(flat)) == (
         "t1 = x0 * p0 + x1\nt2 = where(t1 < p1, -t1, 1.0)\nt3 = (t1 + 2.0) / x1\nreturn t2, t3"
     )
-
-
-def test_tables_and_opaque_functions():
-    from fastatt.tracing.functions import opaque, row
-
-    def swap(x, y):
-        return y, x
-
-    graph, x, y = numbers()
-    a, b = opaque(swap, 2, [x, y], x)
-    flat = Flat(graph, [a, b - x, *row(0, x, 1)], "double")
-    run = source.function(flat, tables={0: [5.0, 7.0, 9.0]})
-    assert run(2.0, 4.0) == (4.0, 0.0, 9.0)
-    columns = run(np.array([0.0, 1.0]), np.array([3.0, 4.0]))
-    np.testing.assert_array_equal(columns, [[3.0, 4.0], [0.0, 0.0], [5.0, 7.0]])
 
 
 def test_floats_divide_by_zero_as_processors_do():
