@@ -58,6 +58,13 @@ def conditional(x, y):
     return x if x > y else -y if y > 0.5 else x * y
 
 
+def branch_after_a_choice(x, y):
+    larger = x if x > y else y
+    if larger > 0.5:
+        return larger
+    return NUMBERS[0] if y > 0.0 else x
+
+
 def logic(x, y):
     return 1.0 if (x > 0.0 and y > 0.0) or not x < 1.0 else 2.0 if not (x and y) else 3.0
 
@@ -394,7 +401,16 @@ def of_kernels(x, y):
 
 
 FUNCTIONS = [
-    *(conditional, logic, values_of_logic, chained, assigned, one_branch_alone, early),
+    *(
+        conditional,
+        branch_after_a_choice,
+        logic,
+        values_of_logic,
+        chained,
+        assigned,
+        one_branch_alone,
+        early,
+    ),
     *(loops, look_up, newton, broken_off, local_helpers),
     *(changes_a_list, known_conditions, globals_, clamped, calls, remainders, powers),
     *(collected, is_in, rounded, numpys, remainders_of_c, typed, matched),
