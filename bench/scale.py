@@ -58,10 +58,10 @@ def seconds(call, least, together=1):
     return median(taken)
 
 
-def cost(n, steps, threads, least):
+def cost(n, steps, threads, least, method="rk4"):
     """Nanoseconds a body-step."""
     values = states(n)
-    options = {"dt": 0.01, "n_steps": steps, "method": "rk4", "n_threads": threads}
+    options = {"dt": 0.01, "n_steps": steps, "method": method, "n_threads": threads}
     return 1e9 * seconds(lambda: fa.propagate(FREE, *values, **options), least) / (n * steps)
 
 
@@ -77,6 +77,25 @@ def overheads(least):
         )
         rows.append((n, *(1e6 * seconds(call, least, 100) for call in calls)))
     return rows
+
+
+def by_default(most, least):
+    """Of each method the largest ratio of the default's time to the better of one thread and all.
+
+    Over numbers of body-steps from 10³ on, in steps of 2, of 128 bodies and of 4096.
+    """
+    worst = []
+    for method in ("rk4", "strang2", "rk8", "gbs16"):
+        ratios = []
+        for n in (128, 4096):
+            for k in range(10, int(np.log2(most))):
+                if (steps := 2**k // n) > 0:
+                    each = [cost(n, steps, x, least, method) for x in (None, 1, default_threads())]
+                    ratios.append((each[0] / min(each[1:]), n, steps))
+                    if each[1] * 2**k > 1e9:  # ns
+                        break
+        worst.append((method, *max(ratios)))
+    return worst
 
 
 def peak():
@@ -161,6 +180,7 @@ def picture(found, path):
 def report(bodies, least, folder, pictures):
     found, few, big = cells(bodies, least), overheads(least), large(bodies[-1])
     threads = max(key[0] for key in found)
+    default = by_default(1e5 if least == 0.0 else 1e8, 0.2 * least)
     middle = bodies[-3]
     beside = cost(middle, LARGE, None, 10.0 * least)
     one, several = (cost(middle, LARGE, k, 10.0 * least) for k in (1, threads))
@@ -181,6 +201,15 @@ def report(bodies, least, folder, pictures):
         "| bodies | plan | `propagate` |",
         "| --- | --- | --- |",
         *(f"| {n} | {a:.1f} | {b:.1f} |" for n, a, b in few),
+        "",
+        "## Threads by default",
+        "",
+        "The largest ratio of the time by default to the better of one thread and all, from 10³ to",
+        "10⁸ body-steps, or a second:",
+        "",
+        "| method | ratio | bodies | steps |",
+        "| --- | --- | --- | --- |",
+        *(f"| {method} | {ratio:.2f} | {n} | {k} |" for method, ratio, n, k in default),
         "",
         "## Many bodies",
         "",

@@ -7,14 +7,18 @@ unlike Numba's threads.
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import cache
+from threading import main_thread
 from typing import TypeVar
 
 from fastatt import checks
 
 T = TypeVar("T")
+_MOST = 1024  # threads of the pool
 
 
 def default_threads() -> int:
@@ -48,11 +52,48 @@ def _bar(total: int, unit: str) -> Iterator[Callable[[int], object]]:
 
 
 def in_threads(calls: Sequence[Callable[[], T]], n_threads: int) -> list[T]:
-    """Make calls in their order; if one raises, those that have not begun are dropped."""
+    """Make calls in their order; if one raises, those that have not begun are dropped.
+
+    The thread that asks makes calls too, and does not wait for others that have not begun.
+    """
     if n_threads == 1 or len(calls) == 1:
         return [call() for call in calls]
-    pool = ThreadPoolExecutor(min(n_threads, len(calls)))
+    results: dict[int, T] = {}
+    left = deque(enumerate(calls))
+
+    def work() -> None:
+        try:
+            while task := _next(left):
+                results[task[0]] = task[1]()
+        finally:
+            left.clear()
+
+    helpers: list[Future[None]] = []
     try:
-        return [future.result() for future in [pool.submit(call) for call in calls]]
+        if main_thread().is_alive():  # no thread can begin while the process ends
+            helpers += [_pool().submit(work) for _ in range(min(n_threads, len(calls)) - 1)]
+        work()
     finally:
-        pool.shutdown(cancel_futures=True)
+        left.clear()
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()  # raises what it raised
+    return [results[i] for i in range(len(calls))]
+
+
+def _next(left: deque[T]) -> T | None:
+    """The next of what is left, if there is one."""
+    with suppress(IndexError):
+        return left.popleft()
+    return None
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    """The threads of this process, which stay; each begins when it is first needed."""
+    return ThreadPoolExecutor(_MOST, "fastatt")
+
+
+if hasattr(os, "register_at_fork"):  # a process that is forked has none of its parent's threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -24,8 +24,6 @@ from fastatt.threads import number_of
 
 # bytes below which the free memory is not checked
 _LITTLE = 1 << 30
-# body-steps below which one thread is as fast as several; 2 ms of the slowest method
-_SHORT = 65_536
 # numbers of a history that are written at a time, before the run
 _WRITTEN = 1 << 20
 
@@ -85,9 +83,8 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
 
 
 def options_of(
-    schedule: Schedule, n_bodies: int, n_threads: int | None, progress: bool, on_save: Any,
-    checkpoint: Any,
-) -> dict[str, Any]:  # fmt: skip
+    schedule: Schedule, n_threads: int | None, progress: bool, on_save: Any, checkpoint: Any
+) -> dict[str, Any]:
     """The options of a run by ``propagate`` or ``resume``, as ``Plan.run`` takes them.
 
     Raises ``ValueError`` and ``TypeError`` for arguments that do not fit.
@@ -108,20 +105,13 @@ def options_of(
     if on_save is not None and schedule.every is None and schedule.save_at is None:
         raise ValueError("on_save: found without saves; accepted: with save_every or save_at")
     return {
-        "n_threads": threads_of(n_threads, n_bodies, schedule.n_steps),
+        "n_threads": None if n_threads is None else number_of(n_threads),
         "progress": progress,
         "on_save": next(iter(functions), None),
         "file": next(iter(files), None),
         "checkpoint": None if checkpoint is None else target("checkpoint", checkpoint),
         "keeps_end": True,
     }
-
-
-def threads_of(n_threads: int | None, n_bodies: int, n_steps: int) -> int:
-    """The number of threads of a run; by default one for a short run."""
-    if n_threads is None and n_bodies * n_steps < _SHORT:
-        return 1
-    return number_of(n_threads)
 
 
 class History:

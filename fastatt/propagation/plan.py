@@ -38,7 +38,7 @@ from fastatt.propagation.schedule import Schedule
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
-from fastatt.threads import progress_bar
+from fastatt.threads import default_threads, progress_bar
 
 #: bodies of an ensemble that are run at a time, so that working memory is a small share
 PART = 1 << 19
@@ -46,6 +46,8 @@ PART = 1 << 19
 _LONG = 1_000_000
 # for how many step sizes and starts the steps are kept
 _KEPT = 16
+# operations of a run that several threads end sooner, of the closed form, and of a function's call
+_WORTH, _CLOSED, _CALLED = 1.5e7, 500, 1000
 # bodies from which on searching for parameters that all of them share saves time
 _MANY = 64
 
@@ -85,7 +87,7 @@ class Plan:
     limits: StepLimits
     #: of a method that takes steps, None of a closed form
     program: Program | None
-    n_threads: int = 1
+    n_threads: int | None = 1
     #: the time, s, at which a call begins that gives none, and whether it may give one
     t0: float = 0.0
     has_fixed_t0: bool = False
@@ -189,8 +191,17 @@ class Plan:
         flags = np.ascontiguousarray(flags, dtype=FLAGS)
         return Setup(self.program, self.packed, limits, params, flags)
 
+    @cached_property
+    def _operations(self) -> float:
+        """About how many operations a run takes."""
+        if self.program is None:
+            return _CLOSED * self.schedule.saves * self.n_bodies
+        job = self.program.job
+        of_step = job.operations + _CALLED * job.calls
+        return of_step * self.schedule.n_steps * self.n_bodies
+
     def run(
-        self, start: Initial, t0: float, *, n_threads: int = 1, progress: bool = False,
+        self, start: Initial, t0: float, *, n_threads: int | None = 1, progress: bool = False,
         on_save: Callable[[Trajectory], object] | None = None, file: Path | None = None,
         checkpoint: Path | None = None, resumed: End | None = None, keeps_end: bool = False,
     ) -> Trajectory:  # fmt: skip
@@ -203,6 +214,8 @@ class Plan:
         Raises ``MemoryError`` if the saves do not fit, ``InterruptedRun`` on Ctrl-C.
         """
         schedule, shape = self.schedule, (self.schedule.saves, self.n_bodies, self.width)
+        if n_threads is None:
+            n_threads = default_threads() if self._operations > _WORTH else 1
         if on_save is None and file is None:
             check_room(shape, self.dtype)
         times = self._times(t0)

@@ -15,11 +15,12 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import Choice, chosen
 from fastatt.propagation.event import events_of
 from fastatt.propagation.initial import Initial, initial
-from fastatt.propagation.output import OnSave, options_of, threads_of
+from fastatt.propagation.output import OnSave, options_of
 from fastatt.propagation.plan import Plan, prepared
 from fastatt.propagation.schedule import schedule_of
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
+from fastatt.threads import number_of
 
 # how many plans are kept with a scene, and the most bodies of such a plan
 _KEPT, _FEW = 16, 1024
@@ -190,7 +191,7 @@ def propagate(
     when = (dt, n_steps, t_end, save_every, save_at)
     planning = (n, start.q.dtype, choice, r0 is not None, begin, *when)
     planned = _memoised(scene, _planned, *planning) if n <= _FEW else _planned(scene, *planning)
-    options = options_of(planned.schedule, n, n_threads, progress, on_save, checkpoint)
+    options = options_of(planned.schedule, n_threads, progress, on_save, checkpoint)
     return planned.run(start, t0, **options)
 
 
@@ -322,7 +323,7 @@ def plan(
         schedule,
         checks.precision(dtype),
         position=position,
-        n_threads=threads_of(n_threads, bodies, schedule.n_steps),
+        n_threads=None if n_threads is None else number_of(n_threads),
         t0=t0,
         has_fixed_t0=n_steps is None or save_at is not None,
         remake=partial(plan, **arguments),

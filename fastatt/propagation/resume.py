@@ -127,7 +127,7 @@ def resume(
             f"t_end: found {t_end}; accepted: {reached}, the end of the run, or {order} it"
         )
     bodies = end.start.bodies
-    options = options_of(schedule, bodies, n_threads, progress, on_save, checkpoint)
+    options = options_of(schedule, n_threads, progress, on_save, checkpoint)
     plan = prepared(scene, bodies, choice, schedule, end.start.q.dtype, position=position)
     end.check(plan.equations, plan.packed.params, plan.events_key, plan.kept_shapes)
     return plan.run(end.start, t0, resumed=end, **options)
