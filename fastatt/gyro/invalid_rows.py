@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt.gyro.intervals import GAP, apart
-from fastatt.gyro.log import GyroLogWarning
+from fastatt.gyro.log import GyroLogError, GyroLogWarning
 from fastatt.gyro.tables import Table
 from fastatt.rounding import warn
 
@@ -47,7 +47,7 @@ def in_order(
     s = t[rows]
     shared = _shared(s, rates, rows)
     if len(shared):
-        raise table.error(
+        raise GyroLogError(
             f"{clock[:60]}: {len(shared)} rows share the stamp of the row before, the first in "
             f"{table.place(shared[0])}: packets, or stamps too coarse for the rate; "
             "accepted: increasing time stamps, or rate= in their place"
@@ -59,7 +59,7 @@ def in_order(
     steps = np.diff(s)
     resets = rows[1:][steps <= 0.0]
     if resets.size:
-        raise table.error(
+        raise GyroLogError(
             f"{clock[:60]} in {table.place(resets[0])} is decreasing, and the clock goes on "
             "from there; accepted: a log of one clock, or rate= in place of time stamps"
         )
@@ -76,7 +76,7 @@ def in_order(
         what = ", or a number beside it, overflows; accepted: finite numbers"
         if usable[k]:
             what = _what(kind, t[: k + 1], longest)
-        raise table.error(f"{clock[:60]} in {table.place(k)}{what}")
+        raise GyroLogError(f"{clock[:60]} in {table.place(k)}{what}")
     return s, rows, _lost(table, s, steps, rows) + said
 
 
@@ -88,7 +88,7 @@ def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
     pauses = steps[steps > 3.0 * usual]
     if len(pauses) > max(_MOST, _SHARED * len(steps)) and mean > 2.0 * usual:
         short, long = apart(usual, float(np.median(pauses)))
-        raise table.error(
+        raise GyroLogError(
             f"{clock[:60]}: {len(pauses)} intervals of about {long} s among others of {short} s: "
             "stamps of arrival, of packets; accepted: the stamps of samples, or rate= in their "
             f"place ({1.0 / mean:.6g} Hz on average)"

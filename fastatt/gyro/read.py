@@ -118,13 +118,7 @@ def read_gyro_log(
     >>> log.rates.shape, log.dt
     ((2, 3), array([0.01]))
     """
-    checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
-    for name, word, accepted in (
-        ("unit", unit, UNITS | ANGLES), ("values", values, VALUES),
-        ("time_unit", time_unit, names.TIME_UNITS),
-    ):  # fmt: skip
-        if word is not None:
-            checks.choice(name, word, accepted)
+    _check_words(on_bad_rows, unit, values, time_unit)
     if max_gap is not None:
         max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
     pairs = _pairs(rows)
@@ -138,52 +132,69 @@ def read_gyro_log(
         values = _values(axes, values, defined)
         unit = names.rate_unit(axes, unit, values, defined)
         chosen = None if pairs is None else [(table.index(c, "rows"), text) for c, text in pairs]
+        hertz = math.nan if clock else _rate(table, rate)
+        counter = _counter(table, stamped=bool(clock))
+        wanted = {"gyro": gyro, "counter": counter}
+        wanted |= {sensor: columns_of for sensor, (columns_of, *_) in others.items()}
+        numbers, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
+        scales = ANGLES if values == "increments" else UNITS
+        if unit is None:
+            raise GyroLogError(
+                f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(scales)}"
+            )
+        count, jumps = _counted(numbers.pop("counter", None), len(numbers["gyro"]))
+        with np.errstate(over="ignore"):
+            numbers["gyro"] *= scales[unit]
+            t, start = count / hertz, 0.0
+        if raw is not None:
+            name, parts, named = _clock_of(table, clock, defined)
+            t, start = stamps.times(raw, name, parts, time_unit, named)
+        elif rate is not None:
+            _check_rate(table, time_column, time_unit, defined, hertz)
+        clock_name = " and ".join(table.column(i) for i in clock or counter)
+        timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
+        times, kept, bad = in_order(
+            table, clock_name, t, numbers["gyro"], on_bad_rows, max_gap, jumps
+        )
+        _check(table, len(kept), bad, len(t))
+        dt = np.diff(times)
+        if not (clock or bad):
+            dt[:] = 1.0 / hertz
+        mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
+        said = [
+            f"{table.name}: {len(kept)} samples at {mean_rate:.6g} Hz ({timing})",
+            f"{', '.join(axes)} in {unit}"
+            + (f", {values} over the intervals before" if values != "samples" else ""),
+            *(text for *_, text in others.values() if text),
+            *bad,
+        ]
+        start += float(t[kept[0]])
+        if values != "samples":
+            times, dt, kept = _over_intervals(times, dt, kept, 0.0 if clock or bad else 1.0 / hertz)
+        measured = {s: x if len(kept) == len(t) else x[kept] for s, x in numbers.items()}
+        for sensor in measured.keys() & others.keys():
+            measured[sensor] *= others[sensor][1]
+        if values == "increments":
+            measured["gyro"] /= dt[:, None]
+        return GyroLog(
+            t=times, dt=dt, rate=mean_rate, start=start, summary="; ".join(said), values=values,
+            rates=measured.pop("gyro"), **measured,
+        )  # fmt: skip
     except GyroLogError as error:
-        raise table.error(error) from None
-    hertz = math.nan if clock else _rate(table, rate)
-    counter = _counter(table, stamped=bool(clock))
-    wanted = {"gyro": gyro, "counter": counter}
-    wanted |= {sensor: columns_of for sensor, (columns_of, *_) in others.items()}
-    numbers, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
-    scales = ANGLES if values == "increments" else UNITS
-    if unit is None:
-        raise table.error(f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(scales)}")
-    count, jumps = _counted(numbers.get("counter"), len(numbers["gyro"]))
-    with np.errstate(over="ignore"):
-        rates = numbers["gyro"] * scales[unit]
-        t, start = count / hertz, 0.0
-    if raw is not None:
-        t, start = stamps.times(table, clock, raw, time_unit, defined)
-    elif rate is not None:
-        _check_rate(table, time_column, time_unit, defined, hertz)
-    clock_name = " and ".join(table.column(i) for i in clock or counter)
-    timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
-    times, kept, bad = in_order(table, clock_name, t, rates, on_bad_rows, max_gap, jumps)
-    _check(table, len(kept), bad, len(t))
-    dt = np.diff(times)
-    if not (clock or bad):
-        dt[:] = 1.0 / hertz
-    mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
-    meant = "" if values == "samples" else f", {values} over the intervals before"
-    said = [
-        f"{table.name}: {len(kept)} samples at {mean_rate:.6g} Hz ({timing})",
-        f"{', '.join(axes)} in {unit}{meant}",
-        *(text for *_, text in others.values() if text),
-        *bad,
-    ]
-    start += float(t[kept[0]])
-    if values != "samples":
-        times, dt, kept = _over_intervals(times, dt, kept, 0.0 if clock or bad else 1.0 / hertz)
-    rates = rates[kept] / dt[:, None] if values == "increments" else rates[kept]
-    measured = {
-        sensor: numbers[sensor][kept] * scale
-        for sensor, (columns_of, scale, _) in others.items()
-        if columns_of
-    }
-    return GyroLog(
-        t=times, dt=dt, rate=mean_rate, start=start, rates=rates, summary="; ".join(said),
-        values=values, **measured,
-    )  # fmt: skip
+        raise GyroLogError(f"{table.name}: {error}") from None
+
+
+def _check_words(
+    on_bad_rows: str, unit: str | None, values: str | None, time_unit: str | None
+) -> None:
+    """Refuse words that are not accepted."""
+    checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
+    for name, word, accepted in (
+        ("unit", unit, UNITS | ANGLES), ("values", values, VALUES),
+        ("time_unit", time_unit, names.TIME_UNITS),
+    ):  # fmt: skip
+        if word is not None:
+            checks.choice(name, word, accepted)
 
 
 def _values(axes: Sequence[str], values: str | None, defined: names.Format | None) -> str:
@@ -206,9 +217,18 @@ def _check_rate(
     except GyroLogError:  # none, or one of several: nothing contradicts the rate
         return
     if stamps_beside is not None:
-        is_whole = len(clock) > 1 or stamps.kind(table.first_row[clock[0]]) == "date"
-        named = "ns" if is_whole else names.time_unit(table.column(clock[0]), defined)
-        stamps.check_rate(table, clock, stamps_beside, (named, time_unit), rate)
+        name, parts, named = _clock_of(table, clock, defined)
+        stamps.check_rate(stamps_beside, name, ("ns" if parts else named, time_unit), rate)
+
+
+def _clock_of(
+    table: Table, clock: list[int], defined: names.Format | None
+) -> tuple[str, str, str | None]:
+    """The name of a clock, what it has in place of numbers, and the unit in its name."""
+    is_date = stamps.kind(table.first_row[clock[0]]) == "date"
+    parts = "parts in s and ns" if len(clock) > 1 else "dates" if is_date else ""
+    name = table.column(clock[0])
+    return name[:60], parts, names.time_unit(name, defined)
 
 
 def _over_intervals(
@@ -296,14 +316,14 @@ def _rate(table: Table, rate: float | None) -> float:
         return checks.above_zero("rate", rate, "a sample rate above 0, Hz")
     if len(table.rates) > 1:
         found = " and ".join(f"{x:g}" for x in table.rates)
-        raise table.error(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
+        raise GyroLogError(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
     return table.rates[0]
 
 
 def _check(table: Table, kept: int, bad: list[str], n: int) -> None:
     """Refuse a log of too few samples; warn if many rows are left out."""
     if kept < 2:
-        raise table.error(f"found {kept} of {n} rows that are samples; accepted: at least two")
+        raise GyroLogError(f"found {kept} of {n} rows that are samples; accepted: at least two")
     if n - kept > _MANY * n:
         counts = "; ".join(bad)
         warnings.warn(

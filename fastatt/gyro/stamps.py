@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.gyro.columns import TIME_UNITS, Format, time_unit
+from fastatt.gyro.columns import TIME_UNITS
 from fastatt.gyro.intervals import GAP
 from fastatt.gyro.log import GyroLogError
-
-if TYPE_CHECKING:
-    from fastatt.gyro.tables import Table
 
 NO_STAMP = np.iinfo(np.int64).min  # missing, among whole numbers and dates: NaT
 DATE = "1970-01-01T00:00"
@@ -93,24 +90,21 @@ def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
 
 
 def times(
-    table: Table, clock: list[int], stamps: NDArray[Any], unit: str | None, known: Format | None
+    stamps: NDArray[Any], name: str, parts: str, given: str | None, named: str | None
 ) -> tuple[NDArray[np.float64], float]:
     """Times from the first stamp, s, NaN for an invalid stamp; and the clock there, s.
 
-    ``unit`` is as given; None takes that of the format, or of the column's name.
+    Stamps are in ns if they were ``parts``, else in the unit ``given``, or that of the column.
 
     Raises ``GyroLogError`` if there is none, or it gives a sample rate of no gyro.
     """
-    good, name = valid(stamps), table.column(clock[0])
+    good, unit = valid(stamps), "ns"
     if not good.any():
-        raise table.error(f"{name} has no time stamp")
-    if len(clock) > 1 or kind(table.first_row[clock[0]]) == "date":
-        if unit is not None:
-            parts = "parts in s and ns" if len(clock) > 1 else "dates"
-            raise table.error(f"time_unit: found {unit!r} for {name[:60]}, {parts}; accepted: none")
-        unit = "ns"
-    else:
-        unit = _unit_of(table, name, stamps[good], unit, time_unit(name, known))
+        raise GyroLogError(f"{name} has no time stamp")
+    if not parts:
+        unit = _unit_of(name, stamps[good], given, named)
+    elif given is not None:
+        raise GyroLogError(f"time_unit: found {given!r} for {name}, {parts}; accepted: none")
     first = stamps[np.argmax(good)]
     with np.errstate(over="ignore", invalid="ignore"):
         t = np.where(good, (stamps - first) / TIME_UNITS[unit], np.nan)
@@ -132,9 +126,7 @@ def agrees(t: NDArray[np.float64], rate: float) -> bool:
     return bool(abs(rate * np.mean(steps) - 1.0) < 0.01 + few and ahead.max() <= GAP * usual)
 
 
-def check_rate(
-    table: Table, clock: list[int], stamps: NDArray[Any], units: Sequence[str | None], rate: float
-) -> None:
+def check_rate(stamps: NDArray[Any], name: str, units: Sequence[str | None], rate: float) -> None:
     """Refuse a rate, Hz, that differs from that of a log's stamps, in all of the units."""
     good = valid(stamps)
     if good.sum() < 2:
@@ -145,17 +137,14 @@ def check_rate(
     if not any(agrees(t / scale, rate) for scale in scales):
         mean = scales[0] * (good.sum() - 1) / np.nanmax(t)
         found = f"{mean:.6g} Hz on average" if known else "another rate in every unit"
-        raise table.error(
-            f"rate: found {rate:g} Hz, but the stamps in {table.column(clock[0])[:60]} give "
-            f"{found}, or gaps; accepted: no rate, which reads the stamps"
+        raise GyroLogError(
+            f"rate: found {rate:g} Hz, but the stamps in {name} give {found}, or "
+            "gaps; accepted: no rate, which reads the stamps"
         )
 
 
-def _unit_of(
-    table: Table, name: str, stamps: NDArray[Any], given: str | None, named: str | None
-) -> str:
+def _unit_of(name: str, stamps: NDArray[Any], given: str | None, named: str | None) -> str:
     """The unit as given, or that of a column's name or format, which must be a gyro's."""
-    name = name[:60]
     with np.errstate(over="ignore", invalid="ignore"):
         gaps = np.diff((stamps - stamps[0]).astype(np.float64))
     gaps = gaps[np.isfinite(gaps) & (gaps > 0.0)]
@@ -164,7 +153,7 @@ def _unit_of(
     fitting = [u for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
     if named in fitting or (named in TIME_UNITS and not gaps.size):
         if given not in (None, named):
-            raise table.error(
+            raise GyroLogError(
                 f"time_unit: found {given!r}, but {name} is in {named}; accepted: {named}, or none"
             )
         return str(named)
@@ -172,7 +161,7 @@ def _unit_of(
         return given
     found = f"gives {hertz[named]:.4g} Hz" if named in TIME_UNITS else f"is in {named!r}"
     rates = " or ".join(f"{hertz[u]:.4g} Hz in {u}" for u in fitting) or "none fits"
-    raise table.error(
+    raise GyroLogError(
         f"{name} {found if named else 'has no unit'}; accepted: the unit of time, given as "
         f"time_unit ({rates}), or a sample rate, as rate"
     )

@@ -72,7 +72,7 @@ class Table:
         self.places = self.places[keep]
         if not self.places.size:
             row = f"rows: found no row with {chosen[0][1]!r}" if chosen else "found no sample"
-            raise self.error(f"{row}; accepted: one at least")
+            raise GyroLogError(f"{row}; accepted: one at least")
         self.keep = keep
         hows = self._formats(clock)
         times = [numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
@@ -93,7 +93,7 @@ class Table:
         if strict and any(x.any() for x in bad):
             row, k = np.argwhere(np.hstack(bad))[0]
             i, how = [*wanted["gyro"], *clock][k], [*["float"] * 3, *hows][k]
-            raise self.error(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
+            raise GyroLogError(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
         return values, stamps_of_rows
 
     def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
@@ -142,7 +142,7 @@ class Table:
             label = self.column(i)[:60] if i < len(self.names) and self.names[i] else i + 1
             pair = f"rows=({label!r}, {values[0][:60]!r})"
             if tells or (s is not None and _has_clocks(s[rows], written, changes)):
-                raise self.error(
+                raise GyroLogError(
                     f"{self.column(i)[:60]} tells rows of several kinds or sensors apart: "
                     f"{names.listed(values)}; accepted: {pair}, for one of them, or rows=(), for "
                     "all"
@@ -163,10 +163,6 @@ class Table:
     def place(self, row: int) -> str:
         """The position of a row, for a message."""
         return f"{self.row} {self.places[row]}"
-
-    def error(self, text: object) -> GyroLogError:
-        """An error that names the table."""
-        return GyroLogError(f"{self.name}: {text}")
 
     def shown(self) -> str:
         """The columns, for a message."""

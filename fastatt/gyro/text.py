@@ -92,8 +92,8 @@ def _table(name: str, file: BinaryIO, chosen: Mapping[int, str]) -> Table:
     for first, row in enumerate(islice(_lines(file), None if chosen else _HEAD), 1):
         if damage := _damage(row):
             raise GyroLogError(f"line {first}: {damage}")
-        note = row.lstrip('#/% "')
-        if match := _RATE.match(note):
+        note = row.lstrip("#/% ")
+        if match := _RATE.match(note.lstrip('"')):
             rates.append(float(match["rate"]))
         if not row.strip() or row.lstrip('" ').startswith(_COMMENTS):
             comments.append(note)

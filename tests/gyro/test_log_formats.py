@@ -390,6 +390,7 @@ def test_a_plain_log_is_parsed_by_pandas_alone(tmp_path, monkeypatch, end, tail)
         "t,gx,gy,gz,\n[s],[rad/s],[rad/s],[rad/s],",
         '"t, [s]","gyro, x [rad/s]","gyro, y [rad/s]","gyro, z [rad/s]"',
         '"t [s]","gyro x, rad/s","gyro y, rad/s","gyro z, rad/s"',
+        '# "t [s]","gyro, x [rad/s]","gyro, y [rad/s]","gyro, z [rad/s]"',
         "Device: a\nSerial,7\n\nRecorded 2024-01-01 10:00\nt [s],gx [rad/s],gy [rad/s],gz [rad/s]",
     ],
 )
