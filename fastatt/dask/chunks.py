@@ -97,11 +97,17 @@ class LazyTrajectory(DaskMethodsMixin):  # type: ignore[misc]
 def _joined(runs: Sequence[Trajectory]) -> Trajectory:
     """The trajectories of chunks, joined."""
     axes = {"state": 1, "norm_error": 1, "status": 0}
-    if runs[0].crossings is not None:
-        axes["crossings"] = 0
+    if runs[0].first_crossings is not None:
+        axes["first_crossings"] = 0
     joined: Any = {k: np.concatenate([getattr(run, k) for run in runs], axes[k]) for k in axes}
     carried = {k: np.concatenate([run.carried[k] for run in runs], 1) for k in runs[0].carried}
-    return replace(runs[0], carried=carried, **joined)
+    firsts = accumulate((run.status.size for run in runs), initial=0)
+    found = [
+        (i, first + bodies, *rest)
+        for run, first in zip(runs, firsts, strict=False)
+        for i, bodies, *rest in run.found
+    ]
+    return replace(runs[0], carried=carried, found=tuple(found), **joined)
 
 
 def propagate(

@@ -13,7 +13,7 @@ import numpy as np
 from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
-from fastatt.engine.marks import Event, going_on, look
+from fastatt.engine.marks import Event, counting, look, with_sides
 from fastatt.engine.status import DIAGNOSTICS, Diagnostic, Save, Step, flags, larger
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
@@ -70,6 +70,22 @@ class Job:
         structure = self.structure
         low = structure.tail - structure.coupled if self.attitude.compensated else 0
         return self.attitude.size + low + structure.tail
+
+    @cached_property
+    def switches(self) -> tuple[int, ...]:
+        """Where the sides of the scene's switches are among the stepped variables."""
+        law = self.structure.rotation.law
+        return tuple(self.size - law.states + x.states.start for x in law.switches)
+
+    @cached_property
+    def holds(self) -> tuple[bool, ...]:
+        """For each event, and then each switch, whether a body stays before the marked step."""
+        return (*(event.terminal for event in self.events), *(True for _ in self.switches))
+
+    @property
+    def watched(self) -> int:
+        """The number of events and switches."""
+        return len(self.holds)
 
     @property
     def given(self) -> int:
@@ -158,11 +174,13 @@ class Job:
         x = scope.defined(
             h, scope.motion.begin(y[: self.attitude.coordinates], y[self.attitude.coordinates :])
         )
+        x = with_sides(scope, t, x) if self.switches else x
         e = scope.prepare(h, x)
         stepped = scope.entered(t, scope.number("edge"), x, e)
         return scope.finished(
             x=stepped, e=e, invariants=scope.monitored(h, x),
             **{of.name: (0.0,) for of in self.diagnostics}, status=(0.0,),
+            slides=(0.0,) * len(self.switches),
         )  # fmt: skip
 
     @cached_property
@@ -172,12 +190,12 @@ class Job:
         y, norm_error = scope.output(scope.left_now())
         begun = scope.inputs("invariants", self.invariants)
         save = Save(norm_error, begun, scope.motion.invariants(scope.left_now()))
-        goes_on = going_on(scope) if any(event.terminal for event in self.events) else None
+        counts = counting(scope) if any(self.holds) else None
         largest = {}
         for of in filter(lambda of: not of.of_steps, self.diagnostics):
             (before,) = scope.inputs(of.name, 1)
             new = larger(before, of.formula(save))
-            largest[of.name] = (new if goes_on is None else choose(goes_on, new, before),)
+            largest[of.name] = (new if counts is None else choose(counts, new, before),)
         return scope.finished(io=(*y, norm_error), **largest)
 
     @cached_property
@@ -237,6 +255,7 @@ class Job:
         a, d = (x[:n], 0.0) if restore is None else restore(x[:n])
         removed = self.attitude.compensated
         lost = largest + abs(d) if removed else larger(largest, abs(d))
+        lost = choose(counting(scope), lost, largest) if self.switches else lost
         return scope.finished(x=(*a, *x[n:]), norm=(lost,))
 
     @cached_property
@@ -263,7 +282,7 @@ class Job:
     @cached_property
     def digest(self) -> bytes:
         """A hash of the operations of a step."""
-        flats = (self.small_angle, *self.updates)
+        flats = (self.small_angle, *self.updates, *([self.begin] if self.switches else []))
         spelled = "".join(flat.spelled(self.resources) for flat in flats)
         return hashlib.sha256(spelled.encode()).digest()
 
@@ -342,6 +361,17 @@ class Scope:
             return []
         assert isinstance(self.motion, Coupled)
         return [tuple(map(Double, numbers)) for numbers in self.motion.shown(t, x, names)]
+
+    def crossed(self, t: Any, x: Vector) -> list[Any]:
+        """The functions of the scene's switches at a state, in doubles."""
+        if not self.job.switches:
+            return []
+        assert isinstance(self.motion, Coupled)
+        narrow, self.graph.narrow = self.graph.narrow, False
+        try:
+            return self.motion.crossed(t, x)
+        finally:
+            self.graph.narrow = narrow
 
     def called(self, function: Callable[..., Any], t: Any, x: Vector, *rest: Vector) -> Any:
         """A user-defined function of time, attitude, angular velocity and more, in doubles."""

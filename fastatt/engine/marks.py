@@ -6,6 +6,10 @@ A body whose mark was a false alarm performs the tape again, with later marks al
 
 At the begin of a run and after breakpoints there are no values of earlier steps, so that one in the
 middle of the step takes their place.
+
+The functions of a scene's switches are watched like those of events, after these. A body whose
+switch has a mark stays before the marked step; when that has been divided, the body performs the
+tape again, and sleeps in the state after the step until the tape is there.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from numpy.typing import NDArray
 from fastatt.engine.status import is_number
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector
-from fastatt.tracing.graph import CLASSES, Double, both, choose, either, negated
+from fastatt.tracing.graph import CLASSES, Double, apply, both, choose, either, negated
 
 if TYPE_CHECKING:
     from fastatt.engine.job import Job, Scope
@@ -49,6 +53,8 @@ class Event:
         Whether the body stops there.
     reads : tuple of str
         The names of the terms whose numbers the function takes.
+    every : bool
+        Whether all its crossings are located.
     """
 
     #: a ``UserFunction`` in a run
@@ -56,6 +62,7 @@ class Event:
     direction: int = 0
     terminal: bool = False
     reads: tuple[str, ...] = ()
+    every: bool = False
 
 
 def groups(job: Job) -> dict[str, int]:
@@ -65,12 +72,13 @@ def groups(job: Job) -> dict[str, int]:
     prepared; of each event the values after the last two steps, or at both ends of the marked step;
     the step up to which marks are ignored and the marked step, both counted from the end of the
     piece, NaN if there are none; 1 if a value was not finite; the largest diagnostics before the
-    last step; values in the middle.
+    last step; the step until which a body sleeps; values in the middle.
     """
-    n, held = len(job.events), len(job.of_steps) if job.events else 0
+    n = job.watched
     return {
         "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
-        "after": n, "skip": n, "mark": n, "lost": n, "held": held, "middle": n,
+        "after": n, "skip": n, "mark": n, "lost": n, "held": len(job.of_steps) * (n > 0),
+        "release": int(len(job.switches) > 0), "middle": n,
     }  # fmt: skip
 
 
@@ -93,7 +101,15 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
         placed = (moved[:3], moved[3:]) if is_placed else ()
         read = scope.shown(t, x, event.reads)
         results.append(scope.called(event.function.call, t, x, *placed, *read, s, params))
-    return results
+    return [*results, *scope.crossed(t, x)]
+
+
+def with_sides(scope: Scope, t: Any, x: Vector) -> Vector:
+    """A state with those sides set that are 0."""
+    new = list(x)
+    for k, g in zip(scope.job.switches, scope.crossed(t, x), strict=True):
+        new[k] = choose(x[k] == 0.0, choose(g < 0.0, -1.0, 1.0), x[k])
+    return tuple(new)
 
 
 def _now(scope: Scope) -> list[Any]:
@@ -104,16 +120,23 @@ def _now(scope: Scope) -> list[Any]:
 def look(scope: Scope) -> Flat:
     """The stepped variables, and the values of events, from which steps go on.
 
-    Values after an earlier step stay, so that a function that jumps across zero crosses there.
+    Values of events after an earlier step stay, so that a function that jumps across zero crosses
+    there. That of a switch is compared with its side.
     """
     pairs = zip(_each(scope, "after"), _now(scope), strict=True)
     values = [choose(is_number(after), after, now) for after, now in pairs]
-    return scope.finished(last=scope.state(), after=values)
+    last, events = scope.state(), len(scope.job.events)
+    if scope.job.switches:
+        sleeps, before = sleeping(scope), scope.inputs("last", scope.job.size)
+        last = tuple(choose(sleeps, x, y) for x, y in zip(before, last, strict=True))
+        pairs = list(zip(_each(scope, "after"), _now(scope), strict=True))[events:]
+        values[events:] = [choose(sleeps, after, now) for after, now in pairs]
+    return scope.finished(last=last, after=values)
 
 
 def _each(scope: Scope, name: str) -> Vector:
     """The numbers of a group that has one for each event."""
-    return scope.inputs(name, len(scope.job.events))
+    return scope.inputs(name, scope.job.watched)
 
 
 def middle(scope: Scope) -> Flat:
@@ -122,51 +145,83 @@ def middle(scope: Scope) -> Flat:
 
 
 def going_on(scope: Scope) -> Any:
-    """Whether a body goes on: no terminal event has a mark."""
+    """Whether a body goes on: no terminal event and no switch has a mark."""
     goes_on = is_number(scope.graph.input("double", "dt"))  # true
-    for mark, event in zip(_each(scope, "mark"), scope.job.events, strict=True):
-        goes_on = both(goes_on, negated(is_number(mark))) if event.terminal else goes_on
+    for mark, holds in zip(_each(scope, "mark"), scope.job.holds, strict=True):
+        goes_on = both(goes_on, negated(is_number(mark))) if holds else goes_on
     return goes_on
+
+
+def sleeping(scope: Scope, *, through: bool = False) -> Any:
+    """Whether a body is not yet where its tape is, or was not in the last step."""
+    step = CLASSES[scope.precision](scope.graph.input("double", "step"))
+    (release,) = scope.inputs("release", 1)
+    return step <= release if through else step < release
+
+
+def counting(scope: Scope) -> Any:
+    """Whether the diagnostics of a body count."""
+    goes_on = going_on(scope)
+    return both(goes_on, negated(sleeping(scope))) if scope.job.switches else goes_on
 
 
 def after_step(scope: Scope) -> Flat:
     """Marks after a step, which record the first one in which each function may cross zero.
 
-    A body stays where it was before the step that is marked by a terminal event.
+    A body stays where it was before the step that is marked by a terminal event or a switch.
     """
-    events, n = scope.job.events, scope.job.size
+    job, n = scope.job, scope.job.size
     x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
     of_steps = scope.job.of_steps
     held = scope.inputs("held", len(of_steps))
     step = CLASSES[scope.precision](scope.graph.input("double", "step"))
-    marked = scope.inputs("marked", (n + len(e)) * len(events))
-    goes_on, stays = going_on(scope), [*x]
+    marked = scope.inputs("marked", (n + len(e)) * job.watched)
+    goes_on, stays, sleeps = going_on(scope), [*x], None
+    slides = scope.inputs("slides", len(job.switches))
+    if job.switches:
+        sleeps = sleeping(scope, through=True)
+        goes_on = both(goes_on, negated(sleeps))
     new: dict[str, list[Any]] = {name: [] for name in ("marked", "before", "after", "mark", "lost")}
     names = ("before", "after", "skip", "mark", "lost", "middle")
     kept = zip(*(_each(scope, name) for name in names), _now(scope), strict=True)
-    for i, (event, (before, after, skip, mark, lost, middle, now)) in enumerate(
-        zip(events, kept, strict=True)
-    ):
+    for i, (before, after, skip, mark, lost, middle, now) in enumerate(kept):
+        k = i - len(job.events)
+        direction = 0 if k >= 0 else job.events[i].direction
         # of the parabola through the last values; after a breakpoint of that through the middle
         first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * now, before)
-        may_cross = either(crosses(after, now, event.direction), turns(first, after, now))
+        may_cross = crosses(after, now, direction)
+        if k >= 0:
+            side = x[job.switches[k]]
+            # it may have jumped before the step
+            may_cross = either(side * after < 0.0, side * now < 0.0)
+            # of a body that slides, the side follows the sign
+            follows = both(both(slides[k] != 0.0, goes_on), now != 0.0)
+            stays[job.switches[k]] = choose(follows, choose(now < 0.0, -1.0, 1.0), side)
+        may_cross = either(may_cross, turns(first, after, now))
         has_mark = is_number(mark)
         is_new = both(both(may_cross, negated(either(has_mark, step <= skip))), goes_on)
+        if job.switches:  # none on a copy of the tile, within a step
+            is_new = both(is_new, apply("floor", step) == step)
+        if k >= 0:
+            is_new = both(is_new, slides[k] == 0.0)
         known = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
         place = [choose(is_new, y, z) for y, z in zip((*last, *e), known, strict=True)]
         new["marked"] += place
-        new["before"].append(choose(has_mark, before, after))
-        new["after"].append(choose(has_mark, after, now))
+        stay = has_mark if sleeps is None else either(has_mark, sleeps)
+        new["before"].append(choose(stay, before, after))
+        new["after"].append(choose(stay, after, now))
         new["mark"].append(choose(is_new, step, mark))
         is_seen = either(abs(now) < math.inf, negated(goes_on))
         new["lost"].append(choose(is_seen, lost, 1.0))
-        if event.terminal:
+        if job.holds[i]:
             is_marked = either(has_mark, is_new)
             stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
+    if sleeps is not None:
+        stays = [choose(sleeps, y, z) for y, z in zip(last, stays, strict=True)]
     largest = {of.name: scope.inputs(of.name, 1)[0] for of in of_steps}
     most = [choose(goes_on, x, y) for x, y in zip(largest.values(), held, strict=True)]
     each = {name: (x,) for name, x in zip(largest, most, strict=True)}
-    nothing = (math.nan,) * len(events)
+    nothing = (math.nan,) * job.watched
     return scope.finished(x=stays, last=stays, **new, held=most, middle=nothing, **each)
 
 
@@ -194,12 +249,14 @@ def turns(a: Any, b: Any, c: Any) -> Any:
 
 
 def locate(
-    value: Callable[[Times, Any], Times], low: Points, at_high: Times, direction: int, least: Times
-) -> Times:
+    value: Callable[[Times, Any], Times], low: Points, at_high: Times, direction: int, least: Times,
+    *, beyond: bool = False,
+) -> Times:  # fmt: skip
     """The shares of steps at which a function crosses zero, NaN where it does not.
 
     ``value`` evaluates it at shares of some of the steps. It is known at the shares ``low``, from
-    which on it is looked for, and at the end; ``least`` is the width that ends a bracket.
+    which on it is looked for, and at the end; ``least`` is the width that ends a bracket. The share
+    is the end of the bracket that is nearer to zero, or that ``beyond`` zero.
     """
     high = np.ones(at_high.size), at_high
     crossed = crosses(low[1], at_high, direction)
@@ -210,7 +267,7 @@ def locate(
         for bracket, new in zip((low, high), ends, strict=True):
             bracket[0][rows], bracket[1][rows] = new
     brackets = np.stack([*low, *high, high[0] - low[0], least])
-    return _bracketed(value, brackets, np.flatnonzero(crossed))
+    return _bracketed(value, brackets, np.flatnonzero(crossed), beyond)
 
 
 def _between(
@@ -253,7 +310,9 @@ def _chosen(test: Any, a: Points, b: Points) -> Points:
     return np.where(test, a[0], b[0]), np.where(test, a[1], b[1])
 
 
-def _bracketed(value: Callable[[Times, Any], Times], brackets: Times, rows: Any) -> Times:
+def _bracketed(
+    value: Callable[[Times, Any], Times], brackets: Times, rows: Any, beyond: bool
+) -> Times:
     """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020)).
 
     NaN but in the given ``rows``, and where the function is NaN. Of a function that is zero at one
@@ -266,8 +325,8 @@ def _bracketed(value: Callable[[Times, Any], Times], brackets: Times, rows: Any)
     brackets = np.vstack([brackets, flat])
     for _ in range(_MOST):
         low, at_low, high, at_high, radius, least, flat = brackets
-        # the end that is nearer to zero
-        is_low = np.where(flat != 0.0, flat < 0.0, np.abs(at_low) <= np.abs(at_high))
+        is_nearer = (np.abs(at_low) <= np.abs(at_high)) & (not beyond)
+        is_low = np.where(flat != 0.0, flat < 0.0, is_nearer)
         share[rows] = np.where(is_low, low, high)
         share[rows[np.isnan(at_low + at_high)]] = np.nan
         todo = (high - low > 4.0 * least) & (at_low * at_high < 0.0)

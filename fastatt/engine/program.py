@@ -58,10 +58,11 @@ class Program(TwoForms):
         event_groups, parameters = marks.groups(job), job.structure.n_params
         #: what a body takes with it from one tape to the next
         self.kept = {
-            "x": job.size, "e": job.prepared, "invariants": job.invariants, **event_groups,
+            "x": job.size, "e": job.prepared, "invariants": job.invariants,
+            "slides": len(job.switches), **event_groups,
             **{of.name: 1 for of in job.diagnostics}, "status": 1,
         }  # fmt: skip
-        #: which of these belong to events
+        #: which of these belong to events, and are not known to a run that is resumed with others
         self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
         handed_out = max(job.handed_out + 1, job.given)
         self.rows = _firsts(**self.kept, c=len(precisions) - sum(is_wide), io=handed_out)
@@ -131,7 +132,7 @@ class Program(TwoForms):
             if flat is not None:
                 formulas[name] = self._formula(flat, self.places(flat.groups), clock)
 
-        if job.events:
+        if job.watched:
             add("watch", marks.after_step(job.scope()), "moment")
         if not small_angle:
             return formulas
@@ -140,14 +141,14 @@ class Program(TwoForms):
             formulas["constants"] = self._formula(job.constants, places, "")
         add("start", job.begin, "moment")
         add("save", job.save, "moment")
-        add("project", job.project)
+        add("project", job.project, "moment" if job.switches else "")
         if job.regrids:
             add("leave", job.leave, "moment")
             add("enter", job.enter, "moment")
         for k, flat in enumerate(job.updates):
             add(f"jump{k}", flat, "moment")
         add("status", job.status)
-        if job.events:
+        if job.watched:
             add("middle", marks.middle(job.scope()), "moment")
             add("look", job.look, "moment")
         return formulas

@@ -15,7 +15,7 @@ from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.program import Program
 from fastatt.engine.status import FLAGS, Status
-from fastatt.engine.tape import BLOCK, CALLING_LENGTH, Action, Piece, Steps, Tape
+from fastatt.engine.tape import BLOCK, CALLING_LENGTH, Action, Piece, Steps, Tape, times_of
 from fastatt.scene.models import Packed
 from fastatt.threads import in_threads
 
@@ -32,12 +32,16 @@ _EVENTS = 1024
 class Results(NamedTuple):
     """The arrays that a run writes to.
 
-    Saved values with the norm error last (S, N, k + 1), flags (N,), and times of events (N, E).
+    Saved values with the norm error last (S, N, k + 1), flags (N,), times of events (N, E), and
+    the crossings so far.
     """
 
     saves: Array
     status: NDArray[FLAGS]
     event_times: NDArray[np.float64]
+    #: what is crossed (the number of an event or, after these, of a switch), bodies, times, and
+    #: values as those of a save
+    crossings: list[tuple[int, Array, Array, Array]]
 
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: Any, events: int, saves: int) -> Results:
@@ -47,12 +51,13 @@ class Results(NamedTuple):
             np.empty((saves, bodies, values + 1), dtype),
             np.empty(bodies, FLAGS),
             np.full((bodies, events), np.nan),
+            [],
         )
 
     def of_bodies(self, rows: Any) -> Results:
         """Those of some bodies: views for a slice, copies for an array of indices."""
         saves = self.saves[:, rows] if isinstance(rows, slice) else self.saves.take(rows, axis=1)
-        return Results(saves, self.status[rows], self.event_times[rows])
+        return Results(saves, self.status[rows], self.event_times[rows], self.crossings)
 
     def put(self, rows: Any, other: Results) -> None:
         """Write the results of some bodies, unless they are views."""
@@ -113,6 +118,8 @@ class Run:
             return x if len(x) == 1 else x[rows]
 
         self.setup, self.steps, self.results, self.t0 = setup, steps, results, t0
+        #: the numbers of the bodies
+        self.bodies = np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
         self.params, self._flags = own(setup.params), own(setup.flags)
         params = self.params[:1, :0] if program.job.shared else self.params
         self._inputs: tuple[Array, ...] = (own(start[0])[None], own(start[1])[None], params[None])
@@ -131,7 +138,7 @@ class Run:
         if not calls:
             most = min(n, width * -(-tiles // groups))
             self._pace = _OPERATIONS // max(1, program.job.operations) // most
-            self._pace = min(self._pace, _EVENTS) if program.job.events else self._pace
+            self._pace = min(self._pace, _EVENTS) if program.job.watched else self._pace
         self._begin()
         if kept is not None:
             self._resume(kept)
@@ -173,11 +180,13 @@ class Run:
         self.results.status[:] = self.states[:, -1].astype(FLAGS) | self._flags
 
     def perform(
-        self, tape: Tape, rows: Any = slice(None), first: int = 0, last: int | None = None
-    ) -> float:
+        self, tape: Tape, rows: Any = slice(None), first: int = 0, last: int | None = None,
+        since: Array | None = None,
+    ) -> float:  # fmt: skip
         """Perform a tape on tiles of some bodies, by default all; several threads may do so.
 
-        Returns the time that it took, s.
+        Of some bodies the saves are kept, or those from the times ``since`` on. Returns the time
+        that it took, s.
         """
         begin, program, record = perf_counter(), self.setup.program, self.setup.record
         states, inputs, saves = self.states, self._inputs, self.results.saves
@@ -200,6 +209,12 @@ class Run:
                 record["any_angle"] = program.any_angle
         if is_some:
             self.states[rows] = states
-            slots = np.unique(tape["slot"][tape["action"] == Action.SAVE])
-            self.results.saves[slots[:, None], rows] = saves[slots]
+            records = tape[tape["action"] == Action.SAVE]
+            slots, where = records["slot"], np.ix_(records["slot"], rows)
+            new = saves[slots]
+            if since is not None and slots.size:
+                sign, times = np.sign(self.steps.legs["dt"][0]), times_of(records)
+                earlier = sign * times[:, None] < sign * since
+                new[earlier] = self.results.saves[where][earlier]
+            self.results.saves[where] = new
         return perf_counter() - begin

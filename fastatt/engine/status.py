@@ -52,6 +52,9 @@ class Status(IntFlag):
         128: the torque of a built-in model jumped within a step, where the error of a
         ``QuaternionPD`` passed 180° or the speed of a wheel passed the range in which its Coulomb
         friction changes its sign: the run has order 1.
+    SLIDING : Status
+        256: the function of a ``torques.Switch`` crossed zero without end within a step. The side
+        follows the sign after whole steps from then on, which is of order 1.
 
     Examples
     --------
@@ -69,6 +72,7 @@ class Status(IntFlag):
     NORM_LOST = 32  #: the norm error of a quaternion or a matrix is above its bound
     UNFINISHED = 64  #: the run was interrupted before its end
     JUMP = 128  #: the torque of a built-in model jumped within a step
+    SLIDING = 256  #: a switch crossed without end within a step
 
 
 #: the type of the flags in arrays, with room for more

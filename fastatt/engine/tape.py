@@ -343,9 +343,15 @@ class Steps:
         # from ENTER on, another clock, whose only step ends at the action
         step = records[:, actions.index(change[-1] if change else Action.STEPS) : -1]
         step["begin"] += step["first"] * step["dt"]
+        step["count"] += step["first"] - 0.5  # within a step, no number is whole
         step["dt"] = 0.5 * step["dt"] if rests is None else rests
         step["first"], step["end"] = step["action"] == action, 1
         return records
+
+
+def times_of(records: Tape) -> Times:
+    """The times at which records happen, s."""
+    return np.asarray(records["begin"] + records["first"] * records["dt"])
 
 
 def _in_order(groups: list[tuple[Whole, Tape]]) -> Tape:

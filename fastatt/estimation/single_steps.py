@@ -223,10 +223,11 @@ def single_step(
     record = method_of(scene, method, representation, stepped=True)
     if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
-    if scene.samplings:
+    if scene.samplings or scene.switches:
+        found = "a sampled controller" if scene.samplings else "a Switch"
         raise ValueError(
-            "scene: found a sampled controller; accepted: a scene without, with the torque that "
-            "your loop computes at sample times among its params"
+            f"scene: found {found}; accepted: a scene without, with the numbers that your loop "
+            "computes at such times among its params"
         )
     scalar = checks.precision(dtype)
     position = position or scene.needs_position

@@ -132,10 +132,10 @@ def method_of(
             raise _refused(f'method for representation "{representation}"', record.name, fitting())
         able = methods_for(scene, stepped=stepped)
         raise _refused("method", record.name, able, _reason(record, scene))
-    if not record.within and (scene.samplings or corners_of(scene).size):
+    if not record.within and (scene.samplings or scene.switches or corners_of(scene).size):
         raise ValueError(
             f"method: found {record.name}, whose steps evaluate times outside of them, for a "
-            "scene with breakpoints or samples; accepted: nodes from 0 to 1"
+            "scene with breakpoints, samples or switches; accepted: nodes from 0 to 1"
         )
     if stepped and not record.is_stepped:
         raise _refused(why, record.name, fitting())

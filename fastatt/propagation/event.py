@@ -28,6 +28,7 @@ def event(
     direction: int = 0,
     terminal: bool = False,
     reads: str | tuple[str, ...] = (),
+    every: bool = False,
 ) -> Event:
     """Locate the first time at which a function of a body's motion crosses zero.
 
@@ -59,6 +60,8 @@ def event(
     reads : str or tuple of str, default ()
         Names of terms of the torque, a :class:`fastatt.torques.Sum`, whose numbers g takes as
         tuples, one for each name, before s: ``g(t, q, w, wheels, p)``.
+    every : bool, default False
+        Whether all crossings are located, which ``Trajectory.crossings`` gives with their states.
 
     Returns
     -------
@@ -100,15 +103,20 @@ def event(
     way = checks.any_real("direction", direction, "-1, 0, 1")
     if way not in (-1.0, 0.0, 1.0):
         raise ValueError(f"direction: found {checks.brief(direction)}; accepted: -1, 0, 1")
-    return Event(g, int(way), checks.flag("terminal", terminal), names_in("reads", reads))
+    stops, each = checks.flag("terminal", terminal), checks.flag("every", every)
+    return Event(g, int(way), stops, names_in("reads", reads), each)
 
 
-def warn_of_lost(lost: NDArray[np.bool_]) -> None:
-    """Warn of events (N, E) that were not located, with values that are not finite."""
-    for i in np.flatnonzero(lost.any(axis=0)):
+def warn_of_lost(lost: NDArray[np.bool_], events: int, switches: Sequence[str]) -> None:
+    """Warn of events, then switches (N, E), with values that are not finite.
+
+    Those of an event that was located do not matter.
+    """
+    for i in np.flatnonzero(lost.any(axis=0)).tolist():
         bodies = np.flatnonzero(lost[:, i])
+        name = f"events[{i}]" if i < events else f"Switch {switches[i - events]!r}"
         rounding.warn(
-            f"events[{i}]: found values that are not finite, and no crossing, for {bodies.size} of "
+            f"{name}: found values that are not finite, and no crossing, for {bodies.size} of "
             f"{len(lost)} bodies, the first of them body {bodies[0]}; accepted: a function that is "
             "finite during the run",
             RuntimeWarning,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
+from fastatt.scene.law import AT_CROSSINGS
 from fastatt.scene.scene import Scene
 
 #: initial values of a scene, in the order of the state
@@ -63,8 +64,9 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
     numbers of bodies.
     """
     q0, w0, v0, r0, s0 = values
-    if isinstance(s0, Mapping):
-        s0 = _states(scene, s0)
+    columns = [k for k, clock in enumerate(scene.clocks) if clock == AT_CROSSINGS]
+    if isinstance(s0, Mapping) or (s0 is None and 0 < scene.states == len(columns)):
+        s0 = _states(scene, s0 or {})
     start = checks.attitudes("q0", q0)
     n, carried = scene.states or "n", {}
     placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
@@ -86,6 +88,8 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
         told = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
     if "s0" in carried:
+        side = carried["s0"][..., columns]
+        checks.refuse("s0 of a Switch", side, ~np.isin(side, (-1.0, 0.0, 1.0)), "1, -1 or 0")
         _warn_of_speeds(scene, carried["s0"], carried.get("w0"))
     return start, carried
 

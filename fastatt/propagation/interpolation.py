@@ -14,6 +14,7 @@ from fastatt.arrays import make_continuous, quat_multiply
 from fastatt.attitudes import QUATERNION
 from fastatt.codegen.rows import precision_of, rows
 from fastatt.propagation.trajectory import Trajectory
+from fastatt.scene.law import AT_CROSSINGS
 from fastatt.tracing.formulas import dot, minus, plus, quat, scale, so3
 
 _NODES = 4
@@ -177,6 +178,11 @@ def _rates_of(t: NDArray[np.float64], q: ArrayLike) -> NDArray[np.float64]:
 
 def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     """A run at times between its saves."""
+    if AT_CROSSINGS in run.divisions.clocks:
+        raise ValueError(
+            "run: found one of a scene with a Switch, at whose crossings polynomials do not hold; "
+            "accepted: a run with save_at= at these times"
+        )
     when, asked = _checked_times(run.t, times)
     asked = np.atleast_1d(asked)
     many = (when.size, run.status.size)
@@ -193,8 +199,8 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     # a prescribed rate is known at any time, unless the run was pickled
     if run.packed is None or "w" in run.carried:
         carried["w"] = motion[1]
-    if run.crossings is not None:
-        stopped = np.isfinite(run.crossings[:, list(run.terminal)]).any(axis=1)
+    if run.first_crossings is not None:
+        stopped = np.isfinite(run.first_crossings[:, list(run.terminal)]).any(axis=1)
         for values in (motion[0], *carried.values()):
             values[:, stopped] = np.nan
         if stopped.any():
@@ -205,7 +211,7 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     before = np.searchsorted(saves.way * when, saves.way * asked, side="right") - 1
     return replace(
         run, t=asked, state=motion[0], norm_error=run.norm_error[before], attitude=QUATERNION,
-        carried=carried, end=None,
+        carried=carried, end=None, every={}, found=(),
     )  # fmt: skip
 
 

@@ -230,9 +230,9 @@ class Output:
         """Hand out the saves [first, end)."""
         if not self.is_ring:
             return
-        saves, status, event_times = self.results
+        saves, status, event_times, crossings = self.results
         # flags and times of events change later
-        results = Results(saves[: end - first], status.copy(), event_times.copy())
+        results = Results(saves[: end - first], status.copy(), event_times.copy(), [*crossings])
         piece = self._made(self._times[first:end], results, before=self._last)
         for take in self._takers:
             take(piece)

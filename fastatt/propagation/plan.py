@@ -264,7 +264,7 @@ class Plan:
         other.
         """
         n, results, is_ring = self.n_bodies, output.results, output.is_ring
-        squares, lost = np.zeros(n, self.dtype), np.zeros(results.event_times.shape, np.bool_)
+        squares, lost = np.zeros(n, self.dtype), np.zeros((n, self._watched), np.bool_)
         warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
         if self.scene.states and self.schedule.n_steps and resumed is None:
             self.limits.warn_of_states(self.packed, start, t0)
@@ -273,7 +273,7 @@ class Plan:
         for rows, h in groups:
             group, saved = results.of_bodies(rows), 0
             try:
-                run = (RunWithEvents if self.choice.events else Run)(
+                run = (RunWithEvents if self._watched else Run)(
                     self.setup, self._steps(h, t0, resumed, is_ring=is_ring), (start.q, start.y),
                     rows, group, t0, n_threads, self._goes_on_from(resumed),
                 )  # fmt: skip
@@ -294,7 +294,7 @@ class Plan:
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
             warned = self.limits.warn(start, np.sqrt(squares), results.status)
-        warn_of_lost(lost)
+        warn_of_lost(lost, len(self.choice.events), self._switches)
         return run, warned
 
     def _goes_on_from(self, resumed: End | None) -> Mapping[str, Any] | None:
@@ -320,7 +320,7 @@ class Plan:
             schedule.legs(h, breaks), schedule.at, slots=schedule.slots if is_ring else None,
             every=self.choice.projection, block=CALLING_LENGTH if job.calls else BLOCK,
             regrids=job.regrids, resumes=resumed is not None, done=schedule.done,
-            has_events=bool(self.choice.events), new=resumed is None or not self._is_same(resumed),
+            has_events=self._watched > 0, new=resumed is None or not self._is_same(resumed),
         )  # fmt: skip
         if is_plain:
             while len(self.kept_steps) >= _KEPT:
@@ -339,6 +339,16 @@ class Plan:
             if text := rounding.of_times(longest, schedule.h):
                 rounding.warn(text)
         return times
+
+    @property
+    def _watched(self) -> int:
+        """The number of events and switches."""
+        return 0 if self.program is None else self.program.job.watched
+
+    @property
+    def _switches(self) -> tuple[str, ...]:
+        """The names of the scene's switches."""
+        return tuple(x.term.name for x in self.scene.switches)
 
     @property
     def width(self) -> int:
@@ -370,8 +380,14 @@ class Plan:
             carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
             before=before,
-            crossings=results.event_times if events else None,
+            first_crossings=results.event_times if events else None,
             terminal=tuple(x.terminal for x in events),
+            every={
+                **{i: i for i, x in enumerate(events) if x.every},
+                **{name: len(events) + k for k, name in enumerate(self._switches)},
+            },
+            found=tuple(results.crossings),
+            columns=self._columns,
             divisions=divisions_of(self.scene),
             parts=self.scene.parts,
         )
@@ -388,7 +404,7 @@ class Plan:
         assert self.program is not None
         n, of_events = self.n_bodies, self.program.is_of_events
         shapes: dict[str, tuple[int, ...]] = {"states": (n, int((~of_events).sum()))}
-        if self.choice.events:
+        if self._watched:
             shapes |= {
                 "of_events": (n, int(of_events.sum())), "stopped": (n,),
                 "event_times": (n, len(self.choice.events)), "final": (n, self.width + 1),
@@ -425,7 +441,7 @@ class Plan:
     @cached_property
     def events_key(self) -> str:
         """A hash of the functions of the events and of what they do; empty without events."""
-        if self.program is None or not self.choice.events:
+        if self.program is None or not self._watched:
             return ""
         job = self.program.job
         each = [(x.direction, x.terminal) for x in self.choice.events]

@@ -6,14 +6,14 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import arrays
+from fastatt import arrays, checks
 from fastatt._cached import cached_property
-from fastatt.attitudes import Attitude
+from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.rows import rows
 from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods import METHODS
@@ -28,6 +28,18 @@ if TYPE_CHECKING:
 
     from fastatt.methods.method import Method
     from fastatt.scene.scene import Scene
+
+
+class Crossings(NamedTuple):
+    """What ``Trajectory.crossings`` gives, with a row for each crossing."""
+
+    body: NDArray[np.int64]
+    t: NDArray[np.float64]
+    q: NDArray[Any]
+    w: NDArray[Any] | None
+    v: NDArray[Any] | None
+    r: NDArray[Any] | None
+    s: NDArray[Any] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,9 +93,14 @@ class Trajectory:
     #: the final state as ``resume`` needs it
     end: End | None = field(default=None, repr=False)
     #: times of events (N, E); None for a run without events
-    crossings: NDArray[np.float64] | None = field(default=None, repr=False)
+    first_crossings: NDArray[np.float64] | None = field(default=None, repr=False)
     #: which of the events are terminal
     terminal: tuple[bool, ...] = field(default=(), repr=False)
+    #: the numbers of events and switches whose crossings are all ``found``, by number or name
+    every: Mapping[int | str, int] = field(default_factory=dict, repr=False)
+    found: tuple[tuple[int, Any, Any, Any], ...] = field(default=(), repr=False)
+    #: where what is carried is in the values of a save
+    columns: Mapping[str, slice] = field(default_factory=dict, repr=False)
     #: what divided its steps
     divisions: Divisions = field(default=Divisions(), repr=False)
     #: the quaternions of the save before, whose sign goes on; None of the first save
@@ -161,9 +178,9 @@ class Trajectory:
         rates = rows(_rate_of(law), {"t": None, "s": n, "p": law.count}, (3,), key=law)
         states = self.carried["s"] if n else np.zeros(0)
         t = self.t[:, None]
-        if self.crossings is not None and any(self.terminal):  # a body stays at its event
+        if self.first_crossings is not None and any(self.terminal):  # a body stays at its event
             earlier = np.fmin if np.min(self.dt) > 0.0 else np.fmax
-            t = earlier(t, earlier.reduce(self.crossings[:, self.terminal], axis=1))
+            t = earlier(t, earlier.reduce(self.first_crossings[:, self.terminal], axis=1))
         (w,) = rates(t, states, params, tables=packed.tables)
         w = self._shaped(np.broadcast_to(w, (*self.state.shape[:2], 3)))
         if rotation.inertial:
@@ -192,9 +209,57 @@ class Trajectory:
 
         NaN if there was none. ``ValueError`` for a run without ``events``.
         """
-        if self.crossings is None:
+        if self.first_crossings is None:
             raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
-        return self.crossings[0] if self.one_body else self.crossings
+        return self.first_crossings[0] if self.one_body else self.first_crossings
+
+    def crossings(self, event: int | str) -> Crossings:
+        """Give all crossings of an event or of a switch, in the order of the bodies and times.
+
+        A run that was resumed has those from then on.
+
+        Parameters
+        ----------
+        event : int or str
+            The number of an event among ``events``, which ``fa.event(every=True)`` made, or the
+            name of a ``torques.Switch``.
+
+        Returns
+        -------
+        Crossings
+            A named tuple of arrays with a row for each crossing: ``body``, ``t``, ``q``, ``w``,
+            which is None for a prescribed rate after pickling, and as far as the scene has them
+            ``v``, ``r`` and ``s``, else None. The side in ``s`` is that from before the crossing.
+
+        Raises
+        ------
+        ValueError
+            If there is no such event or switch.
+        """
+        if event not in self.every:
+            known = ", ".join(map(repr, self.every)) or "an event(every=True), or a Switch"
+            raise ValueError(f"event: found {checks.brief(event)}; accepted: {known}")
+        which, stored = self.every[event], self.attitude.stored
+        width = max([stored, *(x.stop for x in self.columns.values())]) + 1
+        nothing = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, width))
+        parts = zip(nothing, *(x[1:] for x in self.found if x[0] == which), strict=True)
+        body, t, saved = map(np.concatenate, parts)
+        order = np.lexsort((t if np.min(self.dt) > 0.0 else -t, body))
+        body, t, saved = body[order], t[order], saved[order][:, None].astype(self.state.dtype)
+        carried = {name: saved[..., part] for name, part in self.columns.items()}
+        packed = self.packed
+        if packed is not None and packed.params.ndim == 2:
+            packed = packed._replace(params=packed.params[body][:, None])
+        at = replace(
+            self, t=t, state=saved[..., :stored], one_body=True, packed=packed, carried=carried,
+            first_crossings=None,
+        )  # fmt: skip
+        q, named = at.q, {name: getattr(at, name) for name in carried}
+        if self.attitude is not QUATERNION:  # of neither sign, since these are many bodies
+            q = q * np.copysign(1.0, q[:, :1])
+        if packed is not None:  # a prescribed rate
+            named["w"] = at.w
+        return Crossings(body, t, q, *(named.get(name) for name in ("w", "v", "r", "s")))
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
         if name not in self.carried:

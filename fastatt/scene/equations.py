@@ -36,7 +36,7 @@ from fastatt.tracing.formulas import (
     vec3,
 )
 from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import choose
+from fastatt.tracing.graph import Double, choose
 
 
 class PrescribedRate(NamedTuple):
@@ -478,6 +478,18 @@ class Coupled(EquationsOfMotion):
         return [
             shown(Pose(QUATERNION, quat.renormalise(q), w, shown=shown), name) for name in names
         ]
+
+    def crossed(self, t: Any, x: Vector) -> list[Any]:
+        """The functions of a body's switches at a state, in doubles."""
+        body = self.stage
+        if not isinstance(body, Body):
+            return []
+        time, (q, w) = self.instant(t), self.pose(t, x)
+        coupled = CoupledStates(*(tuple(map(Double, y)) for y in self._named(self._split(x)[1])))
+        q, w = (tuple(map(Double, y)) for y in (quat.renormalise(q), w))
+        pose = Pose(QUATERNION, q, w, coupled=coupled, shown=body.shown(time, coupled))
+        places, p = body.structure.law.switches, body.torque_numbers
+        return [x.term.numbers(time, p[x.params]).crossed(time, pose) for x in places]
 
     def base(self, x: Vector) -> Vector:
         a, moved = self._split(x)

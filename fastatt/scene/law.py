@@ -6,6 +6,7 @@ another term shows.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -22,6 +23,10 @@ class Sampling(NamedTuple):
 
     period: float
     start: float
+
+
+#: when a state changes that is set where a switch crosses, in place of a sampling
+AT_CROSSINGS = Sampling(math.inf, 0.0)
 
 
 class LookUp(NamedTuple):
@@ -156,6 +161,11 @@ class Law:
     def clocks(self) -> tuple[Sampling | None, ...]:
         """When each of its states changes, None for one that changes at all times."""
         return tuple(x for model in self.models for x in model.clocks)
+
+    @cached_property
+    def switches(self) -> list[Place]:
+        """The places of terms whose state is a side."""
+        return [x for x in self.places if x.term.model.clocks == (AT_CROSSINGS,)]
 
     @cached_property
     def samplings(self) -> tuple[Sampling, ...]:

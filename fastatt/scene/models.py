@@ -237,7 +237,7 @@ def _reading(field: Field, label: str, name: str, packing: Packing) -> Reading:
     size = packing.size_of(label, name)
     if (size,) != field.shape:
         raise ValueError(
-            f"{label}: found {name!r}, which has {size} numbers; accepted: {field.shape[0]}"
+            f"{label}: found {name!r}, which has {size or 1} numbers; accepted: {field.shape[0]}"
         )
     return Reading(name, field.table == "slopes")
 

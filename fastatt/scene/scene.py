@@ -183,6 +183,10 @@ class Scene:
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
+        if not all(x.term.name for x in structure.rotation.law.switches):
+            raise ValueError(
+                "torque: found a Switch without a name; accepted: a term of a Sum with names"
+            )
         for law in filter(None, (structure.rotation.law, structure.force)):
             _warn_of_pulses(law)
         object.__setattr__(self, "_law", structure.rotation.law)
@@ -287,6 +291,11 @@ class Scene:
         return {
             x.term.name: x.states for x in self._law.places if x.term.name and x.term.model.states
         }
+
+    @property
+    def switches(self) -> list[Place]:
+        """The places of the switches of the torque."""
+        return self._law.switches
 
     @property
     def reads_position(self) -> bool:
@@ -415,13 +424,13 @@ def _warn_of_pulses(law: Law) -> None:
         if function is None or function.kept is None:
             continue
         first = sum(max(n, 1) for n in SIGNATURES[model.role].before)
-        read = range(first, first + sum(n for _, n in function.signature.reads))
+        read = range(first, first + sum(max(n, 1) for _, n in function.signature.reads))
         if read and function.kept.compares(range(1), read):
             names = ", ".join(name for name, _ in function.signature.reads)
             rounding.warn(
                 f"{model.kind}: found {function.described}, which compares the time with {names}; "
-                "no step ends where the result changes, so that such steps are of order 1: let a "
-                "SampledControl compare them at its samples, and read what it holds"
+                "no step ends where the result changes, so that such steps are of order 1: let it "
+                "read the side of a Switch of the difference, or what a SampledControl holds"
             )
 
 

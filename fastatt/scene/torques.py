@@ -23,6 +23,7 @@ from fastatt.scene.models import (
     on_each_axis,
 )
 from fastatt.scene.reaction_wheels import ReactionWheels
+from fastatt.scene.switch import Switch
 from fastatt.scene.torque_record import ROUNDED, Custom, Dependence, Pose, Torque, check_unit
 from fastatt.tracing.formulas import dot, minus, plus, quat, rigid, scale, vec3
 from fastatt.tracing.graph import apply
@@ -354,7 +355,7 @@ def _gravity_gradient(o: Any, rate: Any, pose: Pose) -> Any:
 __all__ = [
     "CentralGravityGradient", "Constant", "ConstantInertial", "Custom", "Damping",
     "GravityGradient", "GravityGradientAt", "HeavyTop", "MagneticDipole", "QuadraticDamping",
-    "QuaternionPD", "ReactionWheels", "Rotor", "SampledControl", "Sum",
+    "QuaternionPD", "ReactionWheels", "Rotor", "SampledControl", "Sum", "Switch",
 ]  # fmt: skip
 
 

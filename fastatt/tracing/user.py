@@ -85,6 +85,8 @@ SIGNATURES = {
     "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
     "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
     "potential at position": Signature("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
+    "switch": Signature("switch(t, q, w, p)", (0, 4, 3), 1, "a number"),
+    "switch at position": Signature("switch(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
     "event": Signature("event(t, q, w, p)", (0, 4, 3), 1, "a number"),
     "event at position": Signature("event(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
 }
@@ -281,7 +283,9 @@ class UserFunction:
             [x for part in found for x in part],
             (Unknown, float, int, np.number, np.bool_),
         )
-        if self.argument == "event" and any(isinstance(x, (bool, np.bool_)) for x in row):
+        if self.argument in ("event", "switch") and any(
+            isinstance(x, (bool, np.bool_)) for x in row
+        ):
             raise RefusedError(
                 "a result that is True or False, whose change has no time within a step; accepted: "
                 "a number that crosses zero, such as w[0] - 0.3 for w[0] > 0.3"

@@ -257,7 +257,7 @@ def _order_of(ladder: Ladder, declared: int) -> float | None:
             break
     best = max(orders, default=None)
     scene = ladder.problem.ensemble.scene
-    is_divided = corners_of(scene).size > 0 or bool(scene.samplings)
+    is_divided = corners_of(scene).size > 0 or bool(scene.samplings or scene.switches)
     # the parts of a step between breakpoints do not shrink in proportion to the step size
     if best is not None and best < declared - _SLACK and hidden and is_divided:
         return None

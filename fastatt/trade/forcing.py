@@ -32,7 +32,8 @@ BREAKPOINTS = (
 )
 _IN_TIME = f"a smooth function; {BREAKPOINTS}"
 _SMOOTHER = (
-    "a smooth function, such as tanh(w/w_s) for the sign of w; fa.torques.SampledControl for a "
+    "a smooth function, such as tanh(w/w_s) for the sign of w; in a run a fa.torques.Switch, whose "
+    "side the function reads in place of its comparison; fa.torques.SampledControl for a "
     "controller; an event of fa.propagate that ends the run at the jump"
 )
 

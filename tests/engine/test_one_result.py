@@ -28,7 +28,7 @@ def run(way, rows=slice(None), **more):
 def of(found, bodies=slice(None), saves=slice(None)):
     """All numbers of some bodies of a run: NaN equals NaN, 0 does not equal −0."""
     histories = [found.state, of_one_sign(found), found.norm_error, *found.carried.values()]
-    each = [x for x in (found.status, found.crossings) if x is not None]
+    each = [x for x in (found.status, found.first_crossings) if x is not None]
     numbers = [x[saves][:, bodies] for x in histories] + [x[bodies] for x in each]
     return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
 
