@@ -129,8 +129,8 @@ def look(scope: Scope) -> Flat:
     if scope.job.switches:
         sleeps, before = sleeping(scope), scope.inputs("last", scope.job.size)
         last = tuple(choose(sleeps, x, y) for x, y in zip(before, last, strict=True))
-        pairs = list(zip(_each(scope, "after"), _now(scope), strict=True))[events:]
-        values[events:] = [choose(sleeps, after, now) for after, now in pairs]
+        switched = list(zip(_each(scope, "after"), _now(scope), strict=True))[events:]
+        values[events:] = [choose(sleeps, after, now) for after, now in switched]
     return scope.finished(last=last, after=values)
 
 
