@@ -9,23 +9,27 @@ loop that calls stays scalar.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import math
 import operator
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import TypingError, config, njit, types
 from numba.extending import register_jitable
 
-from fastatt._numba import LOOP, compiled, keep, moved, replacing
+from fastatt._numba import LOOP, NEW, compiled, differs, keep, moved
 from fastatt._store import kept
 
 _COMMON: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _INLINED: dict[str, Any] = {**_COMMON, "fastmath": {"contract", "nsz"}, "forceinline": True}
 _LOOP: dict[str, Any] = {**_COMMON, **LOOP}
+_CHECKED: dict[str, Any] = {"boundscheck": True, "error_model": "python", "nogil": True}
 #: rounds of the loops of a function of a user
 MOST_ROUNDS = 1_000_000
 
@@ -56,8 +60,17 @@ def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
         return njit(signature, **_LOOP, cache=file is not None)(source)
 
     name = f"{function.__module__}.{function.__qualname__}"
-    _MACHINES.append(kept(f"{name}\0{signature}\0{_stamp()}", make))
-    return compiled(_MACHINES[-1])
+    made = kept(f"{name}\0{signature}\0{_stamp()}", make)
+    _MACHINES.append(made)
+    others = njit(**_LOOP)(function)
+
+    def call(*args: Any) -> Any:
+        try:
+            return made(*args)
+        except TypeError:  # Numba converts no named tuples
+            return others(*args)
+
+    return compiled(made) or call
 
 
 #: a part of a machine
@@ -86,7 +99,16 @@ def kernel(function: Callable[..., Any]) -> Any:
     A kernel takes floats and tuples of floats and keeps their precision. Constants are written
     ``type(x)(0.5)``; an integer would truncate them and is refused.
     """
+    if NEW:
+        _try_refusal()
     return _of_floats(function, _INLINED, is_kept=True)
+
+
+@functools.cache
+def _try_refusal() -> None:
+    with contextlib.suppress(TypingError):
+        _of_floats(lambda x: x, _INLINED)(1)
+        warnings.warn(f"kernels: {NEW} does not refuse integers; accepted: floats", stacklevel=2)
 
 
 def around_formulas(function: Callable[..., Any], *, spliced: bool = False) -> Any:
@@ -104,7 +126,10 @@ def _of_floats(
 ) -> Any:
     """A compiled function that refuses integers."""
     dispatcher: Any = njit(**options)(function)
-    compile_signature = dispatcher.compile
+    try:
+        compile_signature, is_new = dispatcher.compile, is_kept
+    except Exception:  # noqa: BLE001  # ``kernel`` tells
+        return dispatcher
 
     def compile_floats(sig: Any) -> Any:
         args = sig.args if hasattr(sig, "args") else sig
@@ -113,13 +138,22 @@ def _of_floats(
                 f"{function.__name__}: found an integer among the arguments {tuple(args)}; "
                 "kernels accept float64 or float32 only: write 1.0 instead of 1"
             )
+        nonlocal is_new
         # not at import, where looking for the folders of all kernels would double the time
-        if is_kept and not dispatcher.overloads:
+        if is_new:
+            is_new = False
             keep(dispatcher, _stamp())
         return compile_signature(sig)
 
     dispatcher.compile = compile_floats
     return dispatcher
+
+
+def formula_in_jitted_code(formula: Any, file: str | None) -> Any:
+    """The result of ``formula(0.5, (2, 3))`` in a function of that file, which Numba is to keep."""
+    scope = {"formula": formula, "__name__": __name__}
+    exec(compile("def trial(x, y): return formula(x, y)", str(file), "exec"), scope)
+    return njit(cache=True)(scope["trial"])(0.5, np.array([2.0, 3.0]))
 
 
 def plain(function: Any) -> Callable[..., Any]:
@@ -133,12 +167,37 @@ def checked(function: Callable[..., Any]) -> Any:
 
     Whole numbers beyond 64 bits and loops of more than ``MOST_ROUNDS`` rounds raise an error.
     """
-    options = {"boundscheck": True, "error_model": "python", "nogil": True}
-    return njit(pipeline_class=_checking(), **options)(function)
+    try:
+        pipeline = _checking()
+        if NEW:
+            _try_checks()
+    except Exception as error:
+        what = f"an interface of _passes.py ({type(error).__name__}: {error})"
+        raise differs(what, "functions that are followed") from error
+    return njit(pipeline_class=pipeline, **_CHECKED)(function)
+
+
+@functools.cache
+def _try_checks() -> None:
+    trial: Any = njit(pipeline_class=_checking(), **_CHECKED)(_powers)
+    for n, rounds in ((40, 1), (1, MOST_ROUNDS + 2)):
+        with contextlib.suppress(OverflowError):
+            raise ValueError(f"{n} to the power {n}, {rounds} times, gives {trial(n, rounds)}")
+    if trial(3, 2) != 54:
+        raise ValueError("3 to the power 3, two times, is not 54")
+
+
+def _powers(n: int, rounds: int) -> int:
+    total = 0
+    for _ in range(rounds):
+        total += n**n
+    return total
 
 
 @functools.cache
 def _checking() -> type:
+    from fastatt._passes import replacing
+
     def exact(whole: Any, of_floats: Any) -> Any:
         @njit
         def operate(a, b):  # type: ignore[no-untyped-def]

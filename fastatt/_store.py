@@ -72,7 +72,7 @@ def kept(key: str, make: Callable[[str | None], Made]) -> Made:
             file = path / f"{_PREFIX}{digest}"
             for given in (_read(file), {}):
                 try:
-                    found, after = _beside_numbas(given, make)
+                    found, after = beside(given, make)
                 except Exception:  # noqa: BLE001  # of an error in the function the last one tells
                     continue
                 if after == given:
@@ -87,7 +87,7 @@ def kept(key: str, make: Callable[[str | None], Made]) -> Made:
         return make(None)
 
 
-def _beside_numbas(
+def beside(
     given: dict[str, bytes], make: Callable[[str | None], Made]
 ) -> tuple[Made, dict[str, bytes]]:
     """What is made where Numba finds the given files, and its files afterwards."""

@@ -8,29 +8,27 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from fastatt._numba import NOTHING, array_of
+from fastatt._numba import NOTHING
 
 #: Numba's types by the names of precisions
 TYPES = {"double": types.float64, "single": types.float32}
+#: what functions of numbers take
+ACCEPTED = "accepted are float64 or float32 and tuples of them: write 1.0 instead of 1"
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def call(typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any) -> Any:
     """Call a part of a generated function by its address.
 
-    ``memory`` are arrays, whose first numbers it takes the addresses of, or addresses; ``numbers``
-    are integers.
+    ``memory`` are addresses, and ``numbers`` integers.
     """
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address, number, arrays, integers = args
         given = [number]
-        for i, ty in enumerate(memory.types):
+        for i in range(len(memory)):
             value = builder.extract_value(arrays, i)
-            if isinstance(ty, types.Array):
-                given.append(array_of(context, builder, ty, value)[0])
-            else:
-                given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
+            given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
         given += [builder.extract_value(integers, i) for i in range(len(numbers))]
         of = ir.FunctionType(ir.VoidType(), [x.type for x in given]).as_pointer()
         builder.call(builder.inttoptr(address, of), given)

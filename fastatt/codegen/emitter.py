@@ -99,10 +99,8 @@ class Emitter:
             return code.call(code.intrinsic(name, of), args)
         if name.startswith("@"):
             return self._by_lane(partial(self._library, name[1:]), args, has_lanes)[0]
-        if not name.startswith("fcmp"):
-            return code.of(name, *args)
-        bits = alike(of, BIT)
-        return code.of("xor", *args) if of == bits else code.of(name, *args, result=bits)
+        # of truths, to be different is the exclusive or
+        return code.of("xor" if of == alike(of, BIT) and " " in name else name, *args)
 
     def _fused(self, op: str, x: Any, y: Any, z: Any) -> Any:
         code = self.code
@@ -191,7 +189,7 @@ def larger(code: Code, x: Any, y: Any) -> Any:
 
 def raised(code: Code, most: Any, x: Any) -> Any:
     """The larger of a number and one that may be NaN, which is ignored."""
-    return code.select(code.of("fcmp ogt", x, most, result=alike(x.type, BIT)), x, most)
+    return code.select(code.of("fcmp ogt", x, most), x, most)
 
 
 def _power_of_two(code: Code, n: Any) -> Any:
@@ -219,7 +217,7 @@ def _equal(ty: Any, value: Any) -> Any:
 
 #: operations of several instructions, or of another form
 _WRITTEN: dict[str, Callable[..., Any]] = {
-    "select": Code.select,
+    "select": lambda code, *args: code.select(*args),
     "not": lambda code, x: code.b.not_(x),
     "larger": larger,
     "power_of_two": _power_of_two,

@@ -7,11 +7,11 @@ from typing import Any
 
 from llvmlite import ir
 
-from fastatt._numba import Line, prefer_wide_vectors
-
 I64 = ir.IntType(64)
 I32 = ir.IntType(32)
 BIT = ir.IntType(1)
+_BUILDERS = {"and": "and_", "or": "or_"}
+_COMPARISONS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 REALS: dict[str, Any] = {"double": ir.DoubleType(), "single": ir.FloatType()}
 
 
@@ -25,7 +25,6 @@ def prepare_for_vectors(function: Any) -> None:
 
     A vector on the stack takes one cache line, not parts of two.
     """
-    prefer_wide_vectors(function)
     function.attributes.alignstack = 64
     # a function that it was inlined into would have another stack
     function.attributes.add("noinline")
@@ -37,21 +36,21 @@ class Code:
     def __init__(self, builder: Any) -> None:
         self.b, self.module = builder, builder.module
 
-    def of(self, name: str, *args: Any, result: Any = None) -> Line:
-        """An operation on values of one type, and that of the result, unless ``result`` differs."""
-        of = args[0].type
-        names = ", ".join([x.get_reference() for x in args])
-        return Line(self.b, result or of, f"{name} {of} {names}")
+    def of(self, name: str, *args: Any) -> Any:
+        """An operation on values of one type."""
+        operation, _, compared = name.partition(" ")
+        if compared:
+            compare = self.b.fcmp_ordered if compared[0] == "o" else self.b.fcmp_unordered
+            return compare(_COMPARISONS[compared[1:]], *args)
+        return getattr(self.b, _BUILDERS.get(operation, operation))(*args)
 
-    def call(self, function: Any, args: Sequence[Any]) -> Line:
+    def call(self, function: Any, args: Sequence[Any]) -> Any:
         """The result of a function that the module declares."""
-        of = function.function_type.return_type
-        given = ", ".join(map(_typed, args))
-        return Line(self.b, of, f"call {of} {function.get_reference()}({given})")
+        return self.b.call(function, args)
 
-    def select(self, test: Any, a: Any, b: Any) -> Line:
+    def select(self, test: Any, a: Any, b: Any) -> Any:
         """a if the test holds, else b."""
-        return Line(self.b, a.type, f"select {_typed(test)}, {_typed(a)}, {_typed(b)}")
+        return self.b.select(test, a, b)
 
     def room(self, ty: Any, n: int = 1) -> Any:
         """Memory for n values on the stack of the function."""
@@ -164,10 +163,6 @@ class Code:
     def intrinsic(self, name: str, ty: Any, n: int = 1) -> Any:
         """LLVM's function of that name for a type, with n arguments of it."""
         return self.declared(f"{name}.{_suffix(ty)}", ty, [ty] * n)
-
-
-def _typed(x: Any) -> str:
-    return f"{x.type} {x.get_reference()}"
 
 
 def _aligned(ty: Any) -> int:

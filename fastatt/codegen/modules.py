@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from numba import cfunc, types
 from numba.extending import intrinsic
 
-from fastatt._numba import LOOP, NOTHING, check, needed
+from fastatt._numba import LOOP, NOTHING, needed
 from fastatt._store import alone, kept
 from fastatt.codegen.instructions import Code, prepare_for_vectors
 
@@ -66,7 +66,6 @@ def generated(
 
 def _write(name: str, builder: Any, args: Any) -> None:
     """Write an emission; Numba keeps a reference to this function by its name."""
-    check()
     prepare_for_vectors(builder.function)
     _, emit = _emissions.get()[name]
     emit(Code(builder), args)

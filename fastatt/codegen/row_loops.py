@@ -69,8 +69,8 @@ def perform_rows(entry, whole, rows, sources, results, held, first_result):
                     is_other = is_other or to < held
                 to += source.shape[2]
             if is_other:
-                call(entry, Part.CONSTANTS, (rows, whole), (count,))
-            call(entry, Part.EACH, (rows, whole), (count,))
+                call(entry, Part.CONSTANTS, (rows.ctypes.data, whole), (count,))
+            call(entry, Part.EACH, (rows.ctypes.data, whole), (count,))
             at = first_result
             for result in results:
                 if result.shape[2] == 0:

@@ -11,36 +11,25 @@ import ctypes
 import functools
 import inspect
 import struct
-import weakref
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import TypingError, types
-from numba.extending import NativeValue, is_jitted, models, register_model, typeof_impl, unbox
+from numba import types
+from numba.extending import is_jitted, typeof_impl
 
 from fastatt._cached import cached_property
-from fastatt._numba import (
-    NOTHING,
-    FormulaType,
-    array_of,
-    check,
-    never_kept,
-    tuple_of,
-)
-from fastatt._store import within_numba
-from fastatt.codegen.call import TYPES
-from fastatt.codegen.emitter import POINTERS, Emitter
-from fastatt.codegen.instructions import I64, Code
+from fastatt._jit import formula_in_jitted_code
+from fastatt._numba import NEW, differs
+from fastatt._store import beside
+from fastatt.codegen.call import ACCEPTED
 from fastatt.codegen.lanes import LaneFormula, Place, Shape, lane_function
 from fastatt.codegen.rows import addresses
+from fastatt.tracing.called import words_of
 from fastatt.tracing.graph import Recorded, flattened
 from fastatt.tracing.trace import traceable
 from fastatt.tracing.traced import Traced, Tuple, flattened_forms, trace
-
-_TYPES = {**TYPES, "truth": types.boolean}
-_PRECISIONS = {ty: precision for precision, ty in TYPES.items()}
 
 
 class ScalarFunction:
@@ -79,7 +68,6 @@ class ScalarFunction:
         self.parameters = inspect.signature(function)
         sizes = dict(arrays or {})
         self.sizes = [sizes.get(name, 0) for name in self.parameters.parameters]
-        self.numba_type = _numba_type(self)
         self._traced: dict[Any, Traced] = {}
         self._compiled: dict[Any, Callable[..., Any]] = {}
 
@@ -87,6 +75,16 @@ class ScalarFunction:
     def formula(self) -> Callable[..., Any]:
         """The function of traced numbers, made when everything that it refers to exists."""
         return traceable(self._function) if self._rewritten else self._function
+
+    @cached_property
+    def numba_type(self) -> types.Type:
+        """The type for Numba, which writes the formula in place of calls."""
+        try:
+            return _writer()(self)
+        except Exception as error:
+            rest = "all but single steps in jitted code, which alone use it"
+            what = f"an interface of codegen/written.py ({words_of(error)})"
+            raise differs(what, rest) from error
 
     def traced(self, forms: tuple[Any, ...]) -> Traced:
         """The formula for arguments of given forms."""
@@ -156,123 +154,25 @@ def _form_of(x: Any, name: str) -> Any:
         return "double"
     if isinstance(x, tuple):
         return Tuple(type(x), tuple(_form_of(part, name) for part in x))
-    raise TypeError(f"{name}: found {type(x).__name__} among the arguments; {_ACCEPTED}")
-
-
-_ACCEPTED = "accepted are float64 or float32 and tuples of them: write 1.0 instead of 1"
-
-
-def _form_of_type(ty: Any, name: str, size: int = 0) -> Any:
-    if ty in _PRECISIONS:
-        return _PRECISIONS[ty]
-    if size and isinstance(ty, types.Array) and ty.ndim == 1 and ty.dtype in _PRECISIONS:
-        return Tuple(tuple, (_PRECISIONS[ty.dtype],) * size)
-    if isinstance(ty, types.BaseTuple):
-        named = isinstance(ty, types.BaseNamedTuple)
-        parts = tuple(_form_of_type(part, name) for part in ty.types)
-        return Tuple(ty.instance_class if named else tuple, parts)
-    raise TypingError(f"{name}: found {ty} among the arguments; {_ACCEPTED}")
-
-
-def _type_of_form(form: Any) -> Any:
-    if isinstance(form, Tuple):
-        named = None if form.cls is tuple else form.cls
-        return types.BaseTuple.from_types([_type_of_form(part) for part in form.parts], named)
-    return _TYPES[form]
-
-
-# Numba's side
-
-
-def _numba_type(scalar: ScalarFunction) -> FormulaType:
-    """The Numba type of a formula, which is written in place of a call."""
-    name = scalar.__name__
-    # Numba keeps the type, with all that it refers to
-    held: Any = weakref.proxy(scalar)
-    read: list[Any] = []  # tables and functions, whose addresses machine code has
-
-    def forms_of(given: Sequence[Any]) -> tuple[Any, ...]:
-        pairs = zip(given, held.sizes, strict=False)
-        return tuple(_form_of_type(ty, name, n) for ty, n in pairs)
-
-    def traced(forms: tuple[Any, ...]) -> Traced:
-        before = within_numba.set(True)
-        try:
-            return held.traced(forms)  # type: ignore[no-any-return]
-        finally:
-            within_numba.reset(before)
-
-    def typed(args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
-        try:
-            bound = held.parameters.bind(*args, **named).args
-            given = [types.unliteral(ty) for ty in bound]
-            result = traced(forms_of(given)).form
-        except TypeError as error:
-            raise TypingError(f"{name}: {error}") from error
-        return _type_of_form(result), given, held.parameters
-
-    def written(context: Any, builder: Any, given: Sequence[Any], args: Sequence[Any]) -> Any:
-        forms = forms_of(given)
-        formula = traced(forms)
-        code = Code(builder)
-        keys, pointers = formula.resources, {}
-        read.append((keys, held.tables if keys else None))
-        check()
-        never_kept(builder.module)
-        for key, at in zip(keys, addresses(keys, held.tables), strict=True):
-            pointers[key] = builder.inttoptr(ir.Constant(I64, at), POINTERS[key[0]])
-        numbers: list[Any] = []
-        for form, ty, x in zip(forms, given, args, strict=True):
-            of_array = isinstance(ty, types.Array)
-            numbers += (
-                _read(context, builder, ty, x, form) if of_array else _taken(builder, form, x)
-            )
-
-        def number(name: tuple[Any, ...], precision: str) -> tuple[Any, bool]:
-            return code.cast(precision, numbers[name[1]]), False
-
-        results = Emitter(code, formula.lanes, pointers)(formula.flat, number)
-        return _made(context, builder, formula.form, iter(value for value, _ in results))
-
-    return FormulaType(name, typed, written)
-
-
-def _taken(builder: Any, form: Any, value: Any) -> Iterator[Any]:
-    """The numbers of an argument."""
-    if isinstance(form, Tuple):
-        for i, part in enumerate(form.parts):
-            yield from _taken(builder, part, builder.extract_value(value, i))
-    else:
-        yield value
-
-
-def _read(context: Any, builder: Any, ty: Any, value: Any, form: Any) -> Iterator[Any]:
-    """The numbers of an array, as many as its form has."""
-    first, strides = array_of(context, builder, ty, value)
-    step = builder.extract_value(strides, 0)
-    begin = builder.ptrtoint(first, step.type)
-    for i in range(len(form.parts)):
-        at = builder.add(begin, builder.mul(step, ir.Constant(step.type, i)))
-        yield builder.load(builder.inttoptr(at, first.type))
-
-
-def _made(context: Any, builder: Any, form: Any, numbers: Iterator[Any]) -> Any:
-    """Numbers, brought into a form."""
-    if isinstance(form, Tuple):
-        parts = [_made(context, builder, part, numbers) for part in form.parts]
-        return tuple_of(context, builder, _type_of_form(form), parts)
-    x = next(numbers)
-    return builder.fcmp_unordered("!=", x, ir.Constant(x.type, 0.0)) if form == "truth" else x
-
-
-register_model(FormulaType)(models.OpaqueModel)
+    raise TypeError(f"{name}: found {type(x).__name__} among the arguments; {ACCEPTED}")
 
 
 @typeof_impl.register(ScalarFunction)  # type: ignore[untyped-decorator]
-def _typeof(value: ScalarFunction, c: Any) -> FormulaType:
+def _typeof(value: ScalarFunction, c: Any) -> types.Type:
     return value.numba_type
 
 
-@unbox(FormulaType)  # type: ignore[untyped-decorator]
-def _unboxed(ty: Any, value: Any, c: Any) -> NativeValue:
-    return NativeValue(NOTHING)
+@functools.cache
+def _writer() -> Callable[[ScalarFunction], types.Type]:
+    """The types of formulas; with releases that were not seen, one is tried."""
+    from fastatt.codegen.written import numba_type
+
+    if NEW:
+        formula = ScalarFunction(lambda x, y: (x * y[0] + 1.0, y[1] - x), arrays={"y": 2})
+        formula.numba_type = numba_type(formula)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Numba tells that it keeps nothing
+            found, files = beside({}, functools.partial(formula_in_jitted_code, formula))
+        if found != (2.0, 2.5) or files:
+            raise ValueError(f"a formula in jitted code gives {found}; Numba keeps {[*files]}")
+    return numba_type

@@ -85,6 +85,12 @@ def copy(rows, to, count):
 
 
 @loop_part
+def addresses(p, tile):
+    """The memory of a program."""
+    return tile.rows.ctypes.data, tile.wide.ctypes.data, tile.time.ctypes.data, p.tables
+
+
+@loop_part
 def repeat(p, s, tile, before):
     """Repeat a block with any-angle steps, for lanes that rotated by more than π in one step.
 
@@ -101,7 +107,7 @@ def repeat(p, s, tile, before):
     for i in range(p.angle + 1):
         for j in range(rows.shape[1]):
             rows[i, j], before[i, j] = before[i, j], rows[i, j]
-    call(p.any_angle, Action.STEPS, (tile.rows, tile.wide, tile.time, p.tables), (s.first, s.end))
+    call(p.any_angle, Action.STEPS, addresses(p, tile), (s.first, s.end))
     for j in range(rows.shape[1]):
         if not before[p.angle, j] > PI_SQUARED:
             for i in range(p.angle + 1):
@@ -139,12 +145,7 @@ def perform(tape, program, tile, before, fork, bodies, first_tile, last_tile):
                 if s.action == Action.STEPS:
                     copy(rows, before, p.angle + 1)
             if s.action < Action.FORK or s.action >= Action.JUMP:
-                call(
-                    p.small_angle,
-                    s.action,
-                    (tile.rows, tile.wide, tile.time, p.tables),
-                    (s.first, s.end),
-                )
+                call(p.small_angle, s.action, addresses(p, tile), (s.first, s.end))
             if before is not None:
                 if s.action == Action.STEPS and not repeat(p, s, tile, before):
                     return number

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from fastatt._jit import helper, kernel
-from fastatt._numba import to_fixed_tuple
 from fastatt.gyro.integrate import method_of
 from fastatt.kernels import quat
 from fastatt.methods import samples as _samples
@@ -322,11 +321,17 @@ def _stepped(apply: Any, formula: Any) -> Callable[..., Any]:
 
 
 def _into(step: Any, n_samples: int, n_intervals: int, size: int) -> Callable[..., Any]:
-    def step_into(samples, intervals, out):
-        q = (out[0, 0], out[0, 1], out[0, 2], out[0, 3])
-        v = to_fixed_tuple(samples.ravel(), n_samples)
-        d = step(q, v, to_fixed_tuple(intervals, n_intervals))
-        for i in range(size):
-            out[1 + i // 4, i % 4] = d[i]
-
-    return step_into
+    numbers, times = (
+        "".join(f"{name}[{k}], " for k in range(n))
+        for name, n in (("v", n_samples), ("intervals", n_intervals))
+    )
+    text = (
+        "def step_into(samples, intervals, out):\n"
+        "    v, q = samples.ravel(), (out[0, 0], out[0, 1], out[0, 2], out[0, 3])\n"
+        f"    d = step(q, ({numbers}), ({times}))\n"
+        f"    for i in range({size}):\n"
+        "        out[1 + i // 4, i % 4] = d[i]\n"
+    )
+    scope = {"step": step}
+    exec(text, scope)
+    return scope["step_into"]  # type: ignore[no-any-return]

@@ -154,8 +154,9 @@ def load(shape, logs, tile, lane, j, count):
 @loop_part
 def run(function, action, tile, first, last):
     """Call a part of a program on the memory of a tile."""
-    arrays = tile.samples, tile.intervals, tile.attitudes, tile.state
-    call(function, action, arrays, (first, last))
+    samples, intervals = tile.samples.ctypes.data, tile.intervals.ctypes.data
+    attitudes, state = tile.attitudes.ctypes.data, tile.state.ctypes.data
+    call(function, action, (samples, intervals, attitudes, state), (first, last))
 
 
 @loop_part

@@ -128,7 +128,7 @@ def compiled(code: Any, user: UserFunction) -> Any:
         except Exception as error:  # noqa: BLE001  # Numba's traceback shows Numba's code
             place = getattr(error, "loc", None)
             at = "" if place is None else f" ({place.filename}:{place.line})"
-            words = f"{_words_of(error)}{at}"
+            words = f"{words_of(error)}{at}"
     raise TraceError(words)
 
 
@@ -156,7 +156,7 @@ def _wrapper(user: UserFunction, *, is_number: bool) -> str:
     return "\n".join(lines)
 
 
-def _words_of(error: Exception) -> str:
+def words_of(error: Exception) -> str:
     """Numba's reason in one line, without colours: the first that is not about its steps."""
     lines = _COLOUR.sub("", str(error)).splitlines()
     said = [x.strip() for x in lines if x.strip() and not x.startswith(("Failed in ", "During: "))]
