@@ -255,7 +255,7 @@ def test_wrong_functions_are_refused_each_time(function, argument, message):
 def test_words_of_numba_have_no_colours():
     """Which it writes where ``colorama`` is installed."""
     error = TypeError("Failed in x\n\x1b[1m\x1b[31mUnknown name\x1b[0m 'a'\n\nDuring: typing")
-    assert called._words_of(error) == "Unknown name 'a'"
+    assert called.words_of(error) == "Unknown name 'a'"
 
 
 # what a scene was given is what it runs
