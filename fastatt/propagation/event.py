@@ -12,7 +12,8 @@ from fastatt import checks, rounding
 from fastatt.engine.marks import Event
 from fastatt.scene.models import Packing, names_in, parameters, readings, shown_in
 from fastatt.scene.scene import Scene
-from fastatt.tracing.user import SIGNATURES, UserFunction
+from fastatt.tracing.signature import SIGNATURES
+from fastatt.tracing.user import UserFunction
 
 #: the role in ``SIGNATURES`` and whether it takes states, by the number of the function's arguments
 _ROLES = {

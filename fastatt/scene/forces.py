@@ -19,7 +19,8 @@ from fastatt.scene.models import (
 from fastatt.scene.torque_record import Pose
 from fastatt.tracing.formulas import Vector, dot, scale
 from fastatt.tracing.graph import apply
-from fastatt.tracing.user import SIGNATURES, UserFunction
+from fastatt.tracing.signature import SIGNATURES
+from fastatt.tracing.user import UserFunction
 
 #: the roles of a user-defined force
 _ROLES = "force", "force at position"

@@ -21,7 +21,8 @@ from fastatt import checks
 from fastatt.scene.law import Law, LookUp, Reading, Sampling, Term
 from fastatt.scene.time_series import TimeSeries
 from fastatt.tracing.formulas import Vector
-from fastatt.tracing.user import SIGNATURES, user_function
+from fastatt.tracing.signature import SIGNATURES
+from fastatt.tracing.user import user_function
 
 #: numbers of tables, by the names that graphs have for them
 Tables = dict[Any, NDArray[np.float64]]

@@ -16,7 +16,8 @@ from fastatt.scene.models import Field, PackedTerm, Packing, Parameters, join
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
 from fastatt.tracing.graph import apply, choose
-from fastatt.tracing.user import SIGNATURES, UserFunction, user_function
+from fastatt.tracing.signature import SIGNATURES
+from fastatt.tracing.user import UserFunction, user_function
 
 #: a number of each wheel
 _OfWheels = Annotated[ArrayLike, Field((-1,))]

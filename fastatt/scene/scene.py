@@ -27,7 +27,8 @@ from fastatt.scene.law import Law, Place, Sampling
 from fastatt.scene.models import Packed, join, numbers, row_count
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
-from fastatt.tracing.user import SIGNATURES, UserFunction
+from fastatt.tracing.signature import SIGNATURES
+from fastatt.tracing.user import UserFunction
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ import re
 import types as python
 from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numba import cfunc, types
@@ -22,9 +22,7 @@ from fastatt._jit import checked
 from fastatt.tracing import frozen
 from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.replacements import NAMES
-
-if TYPE_CHECKING:
-    from fastatt.tracing.user import UserFunction
+from fastatt.tracing.signature import Signature
 
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # colour sequences of terminals
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -116,13 +114,13 @@ def _mathematics() -> Any:
     return made
 
 
-def compiled(code: Any, user: UserFunction) -> Any:
+def compiled(code: Any, signature: Signature) -> Any:
     """A function compiled by Numba, which takes the addresses of its arguments and results."""
     pointer = types.CPointer(types.float64)
     scope = {"inner": _made(code), "nan": math.nan}
     # one number may be in a tuple
-    for is_number in (True, False) if user.results == 1 else (False,):
-        exec(_wrapper(user, is_number=is_number), scope)
+    for is_number in (True, False) if signature.results == 1 else (False,):
+        exec(_wrapper(signature, is_number=is_number), scope)
         try:
             return cfunc(types.void(pointer, pointer))(scope["entry"])
         except Exception as error:  # noqa: BLE001  # Numba's traceback shows Numba's code
@@ -132,13 +130,13 @@ def compiled(code: Any, user: UserFunction) -> Any:
     raise TraceError(words)
 
 
-def _wrapper(user: UserFunction, *, is_number: bool) -> str:
+def _wrapper(signature: Signature, *, is_number: bool) -> str:
     """Text of a function that calls ``inner`` with numbers from memory and stores its results."""
     args = [
         f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
-        for part in user.nested([f"given[{k}]" for k in range(user.count)])
+        for part in signature.nested([f"given[{k}]" for k in range(signature.size)])
     ]
-    n, states = user.signature.results, user.signature.states
+    n, states = signature.results, signature.states
     parts = [("result[0]", n - states), ("result[1]", states)] if states else [("result", n)]
     lengths = [] if is_number else [f"len({name}) != {size}" for name, size in parts]
     items = [f"{name}[{k}]" for name, size in parts for k in range(size)]

@@ -12,7 +12,7 @@ import math
 import operator
 import types
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,8 @@ from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.operations import OPERATIONS
 from fastatt.tracing.replacements import BUILTINS, each, known_names, replaced, unknown_in
 from fastatt.tracing.rewriting import rewritten
+from fastatt.tracing.signature import Signature
 from fastatt.tracing.unknown import Recorder, is_number, is_whole
-
-if TYPE_CHECKING:
-    from fastatt.tracing.user import UserFunction
 
 MOST_PATHS = 512
 #: what changes no number
@@ -95,7 +93,7 @@ class Followed(NamedTuple):
     conditions: set[int]
 
 
-def follow(function: Any, given: UserFunction) -> Followed:
+def follow(function: Any, given: Signature) -> Followed:
     """Follow a function.
 
     Raises ``TraceError``, with the line, if it can't be followed, and ``RefusedError`` if it is no
@@ -107,7 +105,7 @@ def follow(function: Any, given: UserFunction) -> Followed:
         return _followed(function, given, predicated=False)
 
 
-def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Followed:
+def _followed(function: Any, given: Signature, *, predicated: bool) -> Followed:
     recorder, paths = Recorder(), list[list[tuple[int, bool]]]()
     raised: Any = (TypeError, AttributeError, RecursionError, MemoryError)
     # a name without a value is no error where it is only read to be kept
@@ -119,7 +117,7 @@ def _followed(function: Any, given: UserFunction, *, predicated: bool) -> Follow
         return (predicated and rewritten(code, known_names(function.__globals__))) or code
 
     made = guarded(function, lambda: Freezer(replaced, _SCOPE, code)(function))
-    inputs = given.nested([recorder.at(recorder.add("in", k)) for k in range(given.count)])
+    inputs = given.nested([recorder.at(recorder.add("in", k)) for k in range(given.size)])
 
     def below(forced: list[bool]) -> list[Any]:
         """The results of the paths that begin with given answers."""

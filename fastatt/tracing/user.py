@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import types as python
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,73 +23,13 @@ from fastatt.tracing.graph import Recorded
 from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.paths import follow
-from fastatt.tracing.unknown import Unknown
-
-
-class Signature(NamedTuple):
-    """A function's arguments before its parameters (0: a number, n: a tuple), and its results.
-
-    ``results`` 0 means as many as there are parameters, −1 as many as states that are not those of
-    the function. A function that ``carries`` states returns two tuples, the second with their time
-    derivatives; ``results`` are then the numbers of both.
-    """
-
-    call: str
-    before: tuple[int, ...]
-    results: int
-    unit: str
-    carries: bool = False
-    states: int = 0
-    reads: tuple[tuple[str, int], ...] = ()
-
-    @property
-    def names(self) -> list[str]:
-        """The names of the arguments, in their order."""
-        return self.call.partition("(")[2].rstrip(")").split(", ")
-
-    def with_states(self, n: int, own: int | None = None) -> Signature:
-        """The signature of a function that also takes n states, before its parameters.
-
-        ``own`` is how many of them it carries itself, all or none by default.
-        """
-        if not n:
-            return self
-        if own is None:
-            own = n if self.carries else 0
-        call = self.call.replace(", p)", ", s, p)")
-        results = (n - own if self.results < 0 else self.results) + own
-        return self._replace(call=call, before=(*self.before, n), results=results, states=own)
-
-    def with_reads(self, reads: Sequence[tuple[str, int]]) -> Signature:
-        """The signature of a function that takes numbers of other terms, before its states."""
-        names = "".join(f", {name.replace('.', '_')}" for name, _ in reads)
-        call = self.call.replace(", p)", f"{names}, p)")
-        before = *self.before, *(n for _, n in reads)
-        return self._replace(call=call, before=before, reads=tuple(reads))
-
+from fastatt.tracing.signature import SIGNATURES
 
 #: further names of arguments
 _MEANINGS = {
     "time": "t", "quat": "q", "quaternion": "q", "attitude": "q", "omega": "w", "velocity": "v",
     "position": "r", "state": "s", "states": "s", "param": "p", "params": "p", "parameters": "p",
 }  # fmt: skip
-SIGNATURES = {
-    "rate": Signature("rate(t, p)", (0,), 3, "rad/s", carries=True),
-    "torque": Signature("torque(t, q, w, p)", (0, 4, 3), 3, "N·m", carries=True),
-    "torque at position": Signature(
-        "torque(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N·m", carries=True
-    ),
-    "control": Signature("control(t, q, w, p)", (0, 4, 3), 3, "numbers", carries=True),
-    "command": Signature("command(t, q, w, p)", (0, 4, 3), -1, "N·m"),
-    "force": Signature("force(t, q, w, v, p)", (0, 4, 3, 3), 3, "N"),
-    "force at position": Signature("force(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 3, "N"),
-    "potential": Signature("potential(t, q, p)", (0, 4), 1, "J"),
-    "potential at position": Signature("potential(t, q, r, p)", (0, 4, 3), 1, "J"),
-    "switch": Signature("switch(t, q, w, p)", (0, 4, 3), 1, "a number"),
-    "switch at position": Signature("switch(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
-    "event": Signature("event(t, q, w, p)", (0, 4, 3), 1, "a number"),
-    "event at position": Signature("event(t, q, w, v, r, p)", (0, 4, 3, 3, 3), 1, "a number"),
-}
 
 
 def user_function(function: Any, role: str, *others: Any, **named: Any) -> UserFunction:
@@ -120,7 +60,7 @@ class UserFunction:
         # defaults may have many lines
         plain = (str(x.replace(default=x.empty, annotation=x.empty)) for x in given)
         self.called_as = f"{self.name}({', '.join(plain)})"
-        self.argument, self.reason, self.n_params = "function", "", 0
+        self.argument, self.reason = "function", ""
         self.signature: Any = None
         #: operations of a followed function, code and values of a called one
         self.kept: Kept | None = None
@@ -146,9 +86,9 @@ class UserFunction:
         argument, signature = role.partition(" ")[0], SIGNATURES[role].with_reads(reads)
         signature = signature._replace(results=results or signature.results)
         signature = signature.with_states(states, own)
-        signature = signature if signature.results else signature._replace(results=n_params)
+        signature = signature._replace(n_params=n_params, results=signature.results or n_params)
         if self._function is None and self.signature is not None:
-            if (signature, n_params) != (self.signature, self.n_params):
+            if signature != self.signature:
                 raise TypeError(
                     f"{argument}: found {self!r}, made for {self.signature.call} with "
                     f"{self.n_params} parameters; accepted: one for {signature.call} with "
@@ -160,7 +100,7 @@ class UserFunction:
                 f"{argument}: found {checks.brief(self._function)}; accepted: a function "
                 f"{SIGNATURES[role].with_reads(reads).with_states(states).call}"
             )
-        self.argument, self.signature, self.n_params = argument, signature, n_params
+        self.argument, self.signature = argument, signature
         self._check_arguments(role)
         self._make(params)
         self._function = None
@@ -209,7 +149,7 @@ class UserFunction:
             ) from None
 
     def _follow(self, params: NDArray[np.float64] | None) -> None:
-        found = follow(self._function, self)
+        found = follow(self._function, self.signature)
         spans = [x.span for x in found.kept.tables if hasattr(x, "span")]
         self.usual = trial.points(self._arguments, params, *spans[:1])
         trial.check(found, self._arguments, self.usual, self._in_python())
@@ -231,7 +171,7 @@ class UserFunction:
     def _in_python(self) -> Callable[[Sequence[float]], Sequence[float]]:
         """The results of the user's own function at a point."""
         function = trial.ending(frozen.in_python(self._function))
-        return lambda point: self.in_a_row(function(*self.nested(point)))
+        return lambda point: self.signature.in_a_row(function(*self.nested(point)))
 
     @cached_property
     def is_even(self) -> bool:
@@ -271,40 +211,6 @@ class UserFunction:
         columns = [np.broadcast_to(values[i], len(x)) for i in self.kept.results]
         return np.stack(columns, axis=-1).astype(float)
 
-    def in_a_row(self, result: Any) -> Sequence[Any]:
-        """The numbers of a result; raises ``RefusedError`` for another role."""
-        states = self.signature.states
-        sizes = [self.results - states, states] if states else [self.results]
-        is_row = isinstance(result, (tuple, list))
-        parts = [result] if not states else list(result) if is_row else []
-        found = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
-        found = [[x[()] if type(x) is np.ndarray and not x.ndim else x for x in y] for y in found]
-        row, scalars = (
-            [x for part in found for x in part],
-            (Unknown, float, int, np.number, np.bool_),
-        )
-        if self.argument in ("event", "switch") and any(
-            isinstance(x, (bool, np.bool_)) for x in row
-        ):
-            raise RefusedError(
-                "a result that is True or False, whose change has no time within a step; accepted: "
-                "a number that crosses zero, such as w[0] - 0.3 for w[0] > 0.3"
-            )
-        if [*map(len, found)] != sizes or not all(isinstance(x, scalars) for x in row):
-            of = ""
-            if isinstance(result, (tuple, list, np.ndarray)):
-                size = result.shape if isinstance(result, np.ndarray) else (len(result),)
-                others = [type(x).__name__ for x in row if not isinstance(x, scalars)]
-                of = f" of {size[0] if len(size) == 1 else size}"
-                of += f" with {others[0]}" if others else ""
-            name = "float" if isinstance(result, Unknown) else type(result).__name__
-            with_states = f", and a tuple of {states}, the time derivatives of s" if states else ""
-            raise RefusedError(
-                f"a result that is {name}{of}; accepted: {sizes[0]} numbers, "
-                f"{self.signature.unit}{with_states}"
-            )
-        return row
-
     def __repr__(self) -> str:
         if self._function is not None:
             return f"<function {self.name}>"
@@ -318,7 +224,7 @@ class UserFunction:
 
     @property
     def _key(self) -> Any:
-        return self._function, self.signature, self.n_params, self.kept, self.code
+        return self._function, self.signature, self.kept, self.code
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, UserFunction) and self._key == other._key
@@ -329,7 +235,7 @@ class UserFunction:
     @property
     def fingerprint(self) -> str:
         """A text of what a called function does."""
-        return hashlib.sha256(repr((self.signature, self.n_params, self.code)).encode()).hexdigest()
+        return hashlib.sha256(repr((self.signature, self.code)).encode()).hexdigest()
 
     def __getstate__(self) -> dict[str, Any]:
         return {k: x for k, x in self.__dict__.items() if k != "_compiled"}
@@ -346,7 +252,7 @@ class UserFunction:
 
     @cached_property
     def _compiled(self) -> Any:
-        return compiled(self.code, self)
+        return compiled(self.code, self.signature)
 
     @property
     def results(self) -> int:
@@ -356,7 +262,12 @@ class UserFunction:
     @property
     def count(self) -> int:
         """How many numbers its arguments have."""
-        return int(sum(max(n, 1) for n in self.signature.before) + self.n_params)
+        return int(self.signature.size)
+
+    @property
+    def n_params(self) -> int:
+        """How many of them are its parameters."""
+        return int(self.signature.n_params)
 
     @property
     def _arguments(self) -> trial.Arguments:
@@ -365,12 +276,7 @@ class UserFunction:
 
     def nested(self, numbers: Sequence[Any]) -> tuple[Any, ...]:
         """Numbers in a row as arguments."""
-        found: list[Any] = []
-        at = 0
-        for n in self.signature.before:
-            found.append(tuple(numbers[at : at + n]) if n else numbers[at])
-            at += max(n, 1)
-        return (*found, tuple(numbers[at:]))
+        return self.signature.nested(numbers)  # type: ignore[no-any-return]
 
     @property
     def described(self) -> str:

@@ -416,7 +416,7 @@ class Numbers:
     """n numbers, and as many results as the function gives."""
 
     def __init__(self, function, n, results):
-        self.count, self.results = n, results
+        self.size, self.results = n, results
 
     nested = staticmethod(tuple)
 
