@@ -154,8 +154,12 @@ def run(scene: fa.Scene, arguments: dict[str, Any], **more: Any) -> fa.Trajector
 
 
 def numbers(run: fa.Trajectory, bodies: Any = slice(None), saves: Any = slice(None)) -> list[Any]:
-    """All of some bodies at some saves: NaN equals NaN, 0 does not equal −0."""
-    histories = {"state": run.state, "q": run.q, "w": run.w, "norm": run.norm_error, **run.carried}
+    """All of some bodies at some saves: NaN equals NaN, 0 does not equal −0.
+
+    Where the sign of attitudes is not propagated it is a matter of the saves.
+    """
+    q = run.q if run.representation == "quat" else run.q * np.copysign(1.0, run.q[..., :1])
+    histories = {"state": run.state, "q": q, "w": run.w, "norm": run.norm_error, **run.carried}
     of_bodies = {"status": run.status, "crossings": run.first_crossings}
     arrays = {name: x[saves][:, bodies] for name, x in histories.items()}
     arrays |= {name: x[bodies] for name, x in of_bodies.items() if x is not None}
