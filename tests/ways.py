@@ -32,6 +32,14 @@ def held(t, q, w, s, p):
     return (-p[0] * w[0], -s[0], 0.0), (s[0] + 0.1 * w[1],)
 
 
+def winding(t, p):
+    """Called: a loop whose end is not known."""
+    n = 0
+    while n < 5.0 * abs(t):
+        n += 1
+    return p[0] * n, p[1], np.cos(t)
+
+
 def motors(t, q, w, speeds, error, p):
     return [-p[0] * x - p[1] * v - 1e-3 * s for x, v, s in zip(error, w, speeds, strict=True)]
 
@@ -63,6 +71,7 @@ EVENTS = [fa.event(lambda t, q, w, p: w[0]), fa.event(lambda t, q, w, p: w[1], t
 WAYS = {
     "rate": (RATE, {"method": "magnus4"}),
     "shared rate": (SHARED, {"method": "magnus4", "representation": "dcm"}),
+    "rate, called": (fa.Scene(rate=winding, params=OWN[:, :2]), {"method": "magnus4"}),
     "rate, single": (RATE, {"method": "magnus4", "dtype": "float32"}),
     "rk4": (TORQUED, {"method": "rk4"}),
     "rk4, single": (TORQUED, {"method": "rk4", "dtype": "float32"}),

@@ -62,24 +62,6 @@ def test_a_shorter_step_may_turn_past_half_a_turn(method):
         assert angle(found.q[k], turned).max() < 1e-14
 
 
-def test_one_rate_for_bodies_with_steps_of_their_own():
-    """What bodies share is computed once for those side by side only where their steps agree."""
-    shared = fa.Scene(rate=fa.rates.Coning(0.4, 1.3))
-    own = fa.Scene(rate=fa.rates.Coning(np.full(N, 0.4), 1.3))
-    called = fa.Scene(rate=lambda t, p: (p[0] * round(10.0 * t), 0.2, np.cos(t)), params=(0.03,))
-    options = {"save_at": [0.4, END], "t0": 0.0, "method": "magnus4"}
-    for counts in (COUNTS, np.repeat(COUNTS[: N // 7], 7), np.full(N, 40)):
-        steps = {"dt": END / counts, "n_steps": counts, **options}
-        together = [fa.propagate(scene, Q0, **steps) for scene in (shared, own, called)]
-        assert angle(together[0].q, together[1].q).max() < 1e-14
-        for scene, found in ((shared, together[0]), (called, together[2])):
-            for b in (0, 33, N - 1):
-                given = {"dt": END / counts[b], "n_steps": int(counts[b]), **options}
-                alone = fa.propagate(scene, Q0[b], **given)
-                assert (found.q[:, b] == alone.q).all()
-                assert (found.w[:, b] == alone.w).all()
-
-
 def test_backwards_and_from_another_epoch():
     steps = {"n_steps": COUNTS, "method": "magnus6"}
     there = run("rate", dt=STEPS, **steps)
