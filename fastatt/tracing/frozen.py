@@ -142,6 +142,7 @@ _WRITES = {
     **dict.fromkeys(("STORE_GLOBAL", "DELETE_GLOBAL"), "the statement global"),
     **dict.fromkeys(("STORE_DEREF", "DELETE_DEREF"), "the statement nonlocal"),
     "IMPORT_NAME": "the statement import",
+    "LOAD_BUILD_CLASS": "the statement class",
 }
 _KNOWN = {*_LOADS, *_CATCHES, *_MAKES_TEXT, *_WRITES}
 
@@ -289,7 +290,10 @@ class Held:
         if is_ours and not is_jitted(own):
             given = (None, self) if of_class else (self, freezer(cls))
             return freezer.function(get)(freezer(own), *given)
-        return freezer(getattr(of, name))
+        value = getattr(of, name)
+        if own is _NOTHING and not callable(value) and not isinstance(value, types.ModuleType):
+            raise TraceError(f"{name}, which a function of a {cls.__name__} gives")
+        return freezer(value)
 
     def __call__(self, *args: Any, **named: Any) -> Any:
         """Call it; an object is not made."""
@@ -298,8 +302,16 @@ class Held:
         return self.__getattr__("__call__")(*args, **named)
 
 
+Held.__name__ = "object"  # in messages
+
+
 def _special(name: str) -> Callable[..., Any]:
-    return lambda self, *args: self.__getattr__(name)(*args)
+    def call(self: Held, *args: Any) -> Any:
+        if inspect.getattr_static(type(self.of), name, _NOTHING) is _NOTHING:
+            raise TypeError(f"a {type(self.of).__name__} has no {name}")
+        return self.__getattr__(name)(*args)
+
+    return call
 
 
 def _written(*_: Any) -> NoReturn:
@@ -433,7 +445,7 @@ def _has_functions(cls: type) -> bool:
 
 
 _OF_C = (types.BuiltinFunctionType, types.MethodWrapperType)
-_CONSTANTS = (bool, int, float, complex, str)
+_CONSTANTS = (bool, int, float, complex, str, bytes, range, slice, type(...))
 _CLASSES = (bool, int, float, complex, str, list, tuple, dict, set, frozenset, np.ndarray, object)
 
 
