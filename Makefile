@@ -70,7 +70,7 @@ test-all: $(VENV)/.test  ## the tests, the examples of all pages and the benches
 fuzz: $(VENV)/.test  ## the random testers, MINUTES each, of other cases each day
 	FASTATT_MINUTES=$(or $(MINUTES),10) $(BIN)/pytest -n auto -p no:benchmark -rA tests/testers
 
-pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and with the lowest Numba and NumPy
+pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and the lowest, locked and newest Numba and NumPy
 	.ci/pythons
 
 commands: $(VENV)/.test  ## every command that a page names, small, some minutes

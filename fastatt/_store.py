@@ -31,7 +31,7 @@ from typing import TypeVar
 import llvmlite
 import numba
 
-from fastatt._numba import folder_of, target
+from fastatt._numba import NEW, folder_of, target
 
 #: bytes that the folder may hold before the files that were not used for longest are removed
 LIMIT = 256 << 20
@@ -64,6 +64,7 @@ def kept(key: str, make: Callable[[str | None], Made]) -> Made:
     """
     global hits, made  # noqa: PLW0603
     with alone():
+        _tell_versions()
         _check_numbas()
         path = folder()
         versions = *target(), llvmlite.__version__, numba.__version__, sys.version
@@ -195,6 +196,14 @@ def _others_of_numbas(path: Path, safe: int = stat.S_ISVTX) -> str:
     # systems give each user a group, of the same number
     shared = stat.S_IWOTH | (0 if info.st_gid == info.st_uid else stat.S_IWGRP)
     return "" if info.st_mode & safe else _others(path, shared)
+
+
+@functools.cache
+def _tell_versions() -> None:
+    """Warn, once, of releases that were not seen."""
+    if NEW:
+        told = "interfaces that may differ are tried before they are used"
+        warnings.warn(f"versions: found {NEW}; {told}", stacklevel=2)
 
 
 @functools.cache

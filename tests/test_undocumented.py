@@ -264,6 +264,15 @@ def integers():
     return False
 
 
+@smoke
+def versions():
+    """One warning says which are newer."""
+    return [str(x.message) for x in told if "seen" in str(x.message)] == [
+        "versions: found Numba 0.99.0 (seen: up to 0.68); "
+        "interfaces that may differ are tried before they are used"
+    ]
+
+
 print(json.dumps(found))
 '''
 
@@ -311,3 +320,4 @@ def test_without_it_numbers_are_right_or_one_message_tells(amputated, interface,
             assert name in REFUSED
             assert re.search(TOLD + REFUSED[name], value), value
     assert np.abs(expected["single_step"]).max() < 1e-9
+    assert expected["versions"] == [True]
