@@ -283,8 +283,10 @@ class Held:
             return freezer.function(get)(self, name)
         if own is held and isinstance(held, types.FunctionType):
             return types.MethodType(freezer.function(held), self)
-        if own is held and (get := getattr(held, "fget", getattr(held, "func", None))):
-            return freezer.function(get)(self)
+        if own is held and isinstance(held, (property, types.DynamicClassAttribute)):
+            return freezer.function(held.fget)(self)
+        if own is held and isinstance(held, functools.cached_property):
+            return freezer.function(held.func)(self)
         get, of_class = _function_in(type(own), "__get__"), isinstance(of, type) and own is not held
         is_ours = get and (own is held or of_class) and not isinstance(own, enum.property)
         if is_ours and not is_jitted(own):

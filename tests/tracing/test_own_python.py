@@ -228,7 +228,7 @@ class Twice:
 
 
 class Box:
-    k, now, twice = 0.25, Clock(), Twice()
+    k, now, twice, power = 0.25, Clock(), Twice(), functools.partial(pow, 2.0)
 
     def __getattr__(self, name):
         return {"gain": 3.0}[name]
@@ -259,7 +259,7 @@ LAZY.k, LAZY.__getattr__ = 3.0, lambda name: time.time()
         lambda: Colour["BLUE"].doubled() + len(COLOUR.name),
         lambda: LEVEL * 0.5 + (LEVEL > Level.LOW) + LEVEL.value,
         lambda: ROW.total + ROW[0] * ROW.b + sum(ROW),
-        lambda: 2.0 * GAIN + BOX.gain + BOX.k + BOX.twice + Box.twice,
+        lambda: 2.0 * GAIN + BOX.gain + BOX.k + BOX.twice + Box.twice + BOX.power(3.0),
         lambda: LAZY.k + sum(NUMBERS) + sum(ROW[PART]),
     ],
 )
