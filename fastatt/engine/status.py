@@ -1,6 +1,7 @@
 """The status of each body, and the diagnostics from which its flags follow.
 
-Two flags have none: that of a state that is not finite, and that of a run without an end.
+Three flags have none: of a state that is not finite, of a run without an end, and of a switch that
+slides, which the run itself finds.
 """
 
 from __future__ import annotations

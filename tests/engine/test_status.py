@@ -29,7 +29,7 @@ def test_codes_are_those_that_are_documented():
     """They are stored beside results: numbers that stay."""
     assert {flag.name: int(flag) for flag in fa.Status if flag} == {
         "NON_FINITE": 1, "STEP_TOO_LARGE": 2, "INVARIANT": 4, "SINGULAR": 8, "NOT_CONVERGED": 16,
-        "NORM_LOST": 32, "UNFINISHED": 64, "JUMP": 128,
+        "NORM_LOST": 32, "UNFINISHED": 64, "JUMP": 128, "SLIDING": 256,
     }  # fmt: skip
 
 
@@ -67,9 +67,10 @@ def test_each_diagnostic_sets_its_flag(of):
 
 
 def test_each_flag_has_one_diagnostic():
-    """All but those of the state and of the end; the file of a run's end says which there are."""
+    """All but those of the state, the end and a switch; the file of an end says which there are."""
     flags = [x for of in DIAGNOSTICS for x in (of.flag, of.infinite, of.at_poles) if x]
-    assert sorted([*flags, Status.NON_FINITE, Status.UNFINISHED]) == [x for x in Status if x]
+    others = [Status.NON_FINITE, Status.UNFINISHED, Status.SLIDING]
+    assert sorted([*flags, *others]) == [x for x in Status if x]
     assert end._FORMAT.split()[1:] == [of.name for of in DIAGNOSTICS]
 
 

@@ -35,7 +35,8 @@ def seen(run):
     """All numbers of a run, of which none is NaN."""
     for values in (run.t, run.state, run.w, run.norm_error, *run.carried.values()):
         assert np.isfinite(values).all()
-    return [*bits(run), run.crossings is not None and run.crossings.tobytes()]
+    times = run.first_crossings
+    return [*bits(run), times is not None and times.tobytes()]
 
 
 def handed_out(folder, **options):
@@ -152,9 +153,9 @@ def test_ctrl_c_at_each_piece(is_file, tmp_path, monkeypatch):
     options = {**RK4, "n_steps": 600, "save_every": 10, "events": events}
     whole, perform, repeated = fa.propagate(SCENES["free"], Q0, W0, **options), Run.perform, []
 
-    def noted(run, tape, rows=slice(None), *ends):
+    def noted(run, tape, rows=slice(None), *ends, **since):
         repeated.append(not isinstance(rows, slice))
-        return perform(run, tape, rows, *ends)
+        return perform(run, tape, rows, *ends, **since)
 
     monkeypatch.setattr(Run, "perform", noted)
     file, saves = {"on_save": fa.to_file(tmp_path / "h.npy")} if is_file else {}, []

@@ -350,10 +350,10 @@ def interrupted(monkeypatch, call, action):
     """Ctrl-C as a piece of a run begins, that of a number, and whatever comes after it."""
     perform, calls = engine_run.Run.perform, itertools.count(1)
 
-    def counted(run, *args):
+    def counted(run, *args, **since):
         if next(calls) >= call:
             action()
-        return perform(run, *args)
+        return perform(run, *args, **since)
 
     monkeypatch.setattr(engine_run.Run, "perform", counted)
 
