@@ -65,27 +65,21 @@ class Coverage:
 
 def coverage_of(found: Sequence[tuple[Search, Point]], tol: float, all_bodies: bool) -> Coverage:
     """What is known of all bodies from searches, each on some of them."""
-    sizes = [search.whole.ensemble.size for search, _ in found]
-    size, points = sum(sizes), [point for _, point in found]
+    bodies, points = [search.whole.ensemble for search, _ in found], [x for _, x in found]
+    size, beyond = sum(x.size for x in bodies), sum(x.beyond for x in points)
     # as many as if all groups were sampled as thinly as the thinnest
-    random = min(point.random / n for point, n in zip(points, sizes, strict=True))
+    random = min(point.random / x.size for point, x in zip(points, bodies, strict=True))
     worst, exceeding = max(points, key=lambda point: point.error).worst, None
     if all_bodies:
-        errors = [search.by_halving(point) for search, point in found]
-        places = np.concatenate([search.whole.ensemble.places for search, _ in found])
-        each = np.concatenate(errors)
+        each = np.concatenate([search.by_halving(point) for search, point in found])
+        places = np.concatenate([x.places for x in bodies])
         worst, exceeding = int(places[np.argmax(each)]), int((each > tol).sum())
-    lost = [search.whole.ensemble.places[search.undetermined] for search, _ in found]
+    lost = [x.places[search.undetermined] for x, (search, _) in zip(bodies, found, strict=True)]
     return Coverage(
-        n_bodies=size,
-        measured=sum(point.measured for point in points),
-        worst_body=worst,
-        exceeding_share=most_beyond(
-            sum(point.beyond for point in points), int(random * size), size
-        ),
+        n_bodies=size, measured=sum(x.measured for x in points), worst_body=worst,
+        exceeding_share=most_beyond(beyond, int(random * size), size), exceeding=exceeding,
         undetermined=tuple(sorted(np.concatenate(lost).tolist())),
-        exceeding=exceeding,
-    )
+    )  # fmt: skip
 
 
 def share_of(name: str, value: Any) -> float:

@@ -35,13 +35,13 @@ _BASELINE = Case("rk4")  # fits every scene
 _SCREENED = 1e7  # body-steps that find the bodies with the largest errors
 _VERIFIED = 4e6  # body-steps of a run of bodies outside of the sample
 _LONG = 4e6  # body-radians; samples of longer runs are smaller, with 8 bodies at least
-_TIMED = 8192  # bodies of a timed run
+_TIMED = 1024  # bodies of a timed run
 _WORTH = 4.0  # a case with this many times the time of the best is given up
 _VERIFIED_CASES = 3  # the fastest cases, which are run on bodies outside of the sample
 _CLOSE = 0.06  # relative accuracy of the smallest number of steps
 _TRIALS = 10  # numbers of steps that are tried on bodies outside of the sample
 _MOST = 6e7  # the most body-steps of a trial, 2 or 3 s
-_SHORT = 0.01  # s; shorter calls are timed as a whole
+_SHORT = 0.004  # s; shorter calls are timed as a whole
 
 
 class Point(NamedTuple):
@@ -93,14 +93,9 @@ class Search:
     """
 
     def __init__(
-        self,
-        whole: Problem,
-        sample: int,
-        generator: np.random.Generator,
-        tol: float,
-        searches: int = 1,
-        quantile: float = 1.0,
-    ) -> None:
+        self, whole: Problem, sample: int, generator: np.random.Generator, tol: float,
+        searches: int = 1, quantile: float = 1.0,
+    ) -> None:  # fmt: skip
         self.whole, self.tol, self.quantile = whole, tol, quantile
         self.screened, self.verified = _SCREENED / searches, _VERIFIED / searches
         chosen, self.ranked, self.chance, self.drawn = self._choose(sample, generator)

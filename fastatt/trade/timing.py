@@ -13,7 +13,7 @@ import numpy as np
 ROUNDS = 5
 #: ratio of two times, below which one call is as fast as the other
 TIE = 1.1
-_MOST = 25  # rounds
+_MOST = 50  # rounds
 _LEAST = 2e-3  # s of one timing, reached by repeating a call
 _LONG = 0.1  # s of a call that takes part in the fewest rounds only
 #: s of rounds, beyond which there are the fewest only

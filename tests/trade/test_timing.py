@@ -44,7 +44,7 @@ def test_short_calls_are_timed_together_and_in_more_rounds(monkeypatch):
     long = clock.call("long", np.full(10, 0.11))
     times = timing.time_in_turns([short, long])
     assert [x.least for x in times] == pytest.approx([1e-3, 0.11])
-    assert clock.called.count("short") == 1 + 2 + 2 * 25
+    assert clock.called.count("short") == 1 + 2 + 2 * 50
     assert clock.called.count("long") == 1 + 5
 
 
