@@ -57,7 +57,7 @@ def test_calls_may_make_calls():
 
 
 AROUND_FORK = """
-import atexit, os
+import atexit, os, threading, time
 from functools import partial
 from fastatt.threads import in_threads
 calls = [partial(pow, 2, k) for k in range(64)]
@@ -65,6 +65,8 @@ known = [2**k for k in range(64)]
 assert in_threads(calls, 4) == known
 child = os.fork()
 assert in_threads(calls, 4) == known
+naps = [lambda: time.sleep(0.02) or threading.get_ident()] * 10
+assert len({*in_threads(naps, 4)}) > 1
 if child:
     assert os.waitpid(child, 0)[1] == 0
 atexit.register(lambda: print(in_threads(calls, 4) == known, flush=True))
