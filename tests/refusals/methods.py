@@ -87,6 +87,7 @@ UNFIT = [
 REFUSED = [
     *[(f"method: found '{method}'; accepted: …({reason}", run(scene, method))
       for scene, method, reason in UNFIT],
+    ("method: found 'dmv2'; accepted: rk4, cf4, rkmk4, rk8, rk9, gbs16", run(TORQUED, "dmv2")),
     ("method: found 'mine'; …(mine ", run(BODY, MINE)),
     ("method: found 'dmv2'; …(dmv2 ", run(CONING, fa.METHODS["dmv2"])),
     ("method for representation \"euler313\": found 'mine'; accepted: rk4",
