@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -170,14 +171,13 @@ def after_step(scope: Scope) -> Flat:
 
     A body stays where it was before the step that is marked by a terminal event or a switch.
     """
-    job, n = scope.job, scope.job.size
+    job, n, of_steps = scope.job, scope.job.size, scope.job.of_steps
     x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
-    of_steps = scope.job.of_steps
-    held = scope.inputs("held", len(of_steps))
+    held, slides = scope.inputs("held", len(of_steps)), scope.inputs("slides", len(job.switches))
     step = CLASSES[scope.precision](scope.graph.input("double", "step"))
     marked = scope.inputs("marked", (n + len(e)) * job.watched)
     goes_on, stays, sleeps = going_on(scope), [*x], None
-    slides = scope.inputs("slides", len(job.switches))
+    divided: list[Any] = []
     if job.switches:
         sleeps = sleeping(scope, through=True)
         goes_on = both(goes_on, negated(sleeps))
@@ -204,6 +204,7 @@ def after_step(scope: Scope) -> Flat:
             is_new = both(is_new, apply("floor", step) == step)
         if k >= 0:
             is_new = both(is_new, slides[k] == 0.0)
+            divided.append(is_new)
         known = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
         place = [choose(is_new, y, z) for y, z in zip((*last, *e), known, strict=True)]
         new["marked"] += place
@@ -219,10 +220,12 @@ def after_step(scope: Scope) -> Flat:
     if sleeps is not None:
         stays = [choose(sleeps, y, z) for y, z in zip(last, stays, strict=True)]
     largest = {of.name: scope.inputs(of.name, 1)[0] for of in of_steps}
-    most = [choose(goes_on, x, y) for x, y in zip(largest.values(), held, strict=True)]
+    # what is there in a step that is divided is found there
+    counts = both(goes_on, negated(reduce(either, divided))) if divided else goes_on
+    most = [choose(counts, x, y) for x, y in zip(largest.values(), held, strict=True)]
     each = {name: (x,) for name, x in zip(largest, most, strict=True)}
-    nothing = (math.nan,) * job.watched
-    return scope.finished(x=stays, last=stays, **new, held=most, middle=nothing, **each)
+    new["middle"] = [math.nan] * job.watched
+    return scope.finished(x=stays, last=stays, **new, held=most, **each)
 
 
 def crosses(a: Any, b: Any, direction: int) -> Any:

@@ -14,7 +14,7 @@ from fastatt.codegen.rows import RowFunction
 from fastatt.engine.job import GivenScope, Job
 from fastatt.engine.marks import locate, values
 from fastatt.engine.run import Run
-from fastatt.engine.status import FLAGS, Status
+from fastatt.engine.status import FLAGS, Status, Step
 from fastatt.engine.tape import Action, Piece, Tape, times_of
 from fastatt.tracing.formulas import Vector
 from fastatt.tracing.graph import choose
@@ -161,6 +161,9 @@ class RunWithEvents(Run):
         first = self._program.rows[name]
         return slice(first, first + size)
 
+    def _columns(self, name: str, size: int) -> Array:
+        return self._program.rows[name] + np.arange(size)
+
     def _each(self, name: str) -> slice:
         """The columns of what bodies keep of each event and switch."""
         return self._group(name, self._job.watched)
@@ -275,7 +278,9 @@ class RunWithEvents(Run):
             share = self._first_crossing(step, todo, low[todo, events:], slides[todo])
             crosses = ~(np.fmin.reduce(share, axis=1) == np.inf)
             until = np.where(crosses, np.fmin.reduce(share, axis=1), 1.0)
-            reached, saved, x = step.after(until, todo)
+            reached, saved, x, found = step.after(until, todo)
+            held = np.ix_(rows[todo], self._columns("held", len(job.of_steps)))
+            begun[held] = np.fmax(begun[held], found)
             for i in self._order:
                 self._cross(i, step, todo, low[todo, i], reached[:, i], until)
             time = step.time(until, todo)
@@ -386,8 +391,9 @@ def _after(job: Job) -> RowFunction:
     """What is there after a step of any size: values of events and switches, and a save.
 
     These are results for an event that stops or is located each time, and for switches, then the
-    state too. A row is a body with its stepped variables after some steps of its clock: the time,
-    that since the clock began, the step size, the window, and the size of the step.
+    state too and the diagnostics of the step. A row is a body with its stepped variables after some
+    steps of its clock: the time, that since the clock began, the step size, the window, and the
+    size of the step.
     """
     saves = any(job.holds) or any(event.every for event in job.events)
     stages, ahead = job.method.stages or ((1.0, 1.0, 0.0),), job.method.ahead
@@ -400,7 +406,7 @@ def _after(job: Job) -> RowFunction:
         prepared = scope.prepare(scope.span(h), begun)
         y = scope.entered(t, scope.span(ahead * h), begun, prepared)
         for first, other, node in stages:
-            y, _ = scope.step(
+            y, square = scope.step(
                 t + node * h, scope.span(first * h), scope.span(other * h), y, prepared
             )
         ended = scope.left(t + h, scope.span(h), scope.span(ahead * h), y, prepared)
@@ -411,8 +417,12 @@ def _after(job: Job) -> RowFunction:
         out = tuple(choose(h == 0.0, y, z) for y, z in zip(*saved, strict=True))
         if not job.switches:
             return reached, out
-        return reached, out, tuple(choose(h == 0.0, y, z) for y, z in zip(x, ended, strict=True))
+        stays = tuple(choose(h == 0.0, y, z) for y, z in zip(x, ended, strict=True))
+        sides = scope.motion.sides
+        stepped = Step(square, sides(t, begun), sides(t + h, ended))
+        return reached, out, stays, tuple(of.formula(stepped) for of in job.of_steps)
 
-    results = (job.watched, *[job.handed_out + 1] * saves, *[job.size] * bool(job.switches))
+    of_switches = [job.size, len(job.of_steps)] * bool(job.switches)
+    results = (job.watched, *[job.handed_out + 1] * saves, *of_switches)
     inputs = {"x": job.size, "p": job.structure.n_params, "e": job.prepared, "clock": 6}
     return RowFunction(after, inputs, results)

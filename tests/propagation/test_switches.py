@@ -264,6 +264,26 @@ def test_a_body_that_slides_is_flagged():
     assert np.abs(run.w[20:, 0, 2]).max() < 0.011
 
 
+@pytest.mark.parametrize(("before", "after", "flag"), [(0.0, 3.0, True), (3.0, 0.0, False)])
+def test_jumps_of_models_in_divided_steps(before, after, flag):
+    """A motor turns a body past 180° from the target after the middle of the step, or would."""
+
+    def motor(t, q, w, side, p):
+        return 0.0, 0.0, 0.5 * (p[0] + p[1]) + 0.5 * side * (p[1] - p[0])
+
+    terms = {
+        "side": fa.torques.Switch(lambda t, q, w, p: t - 0.5),
+        "motor": fa.torques.Custom(motor, (before, after), reads="side"),
+        "pd": fa.torques.QuaternionPD(1e-3, 0.0),
+    }
+    half = math.radians(85.0) if flag else math.radians(50.0)
+    q0 = [math.cos(half), 0.0, 0.0, math.sin(half)]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        run = fa.propagate(summed((1, 1, 1), **terms), q0, REST[1], dt=1.0, n_steps=1, method="rk8")
+    assert (run.status == fa.Status.JUMP) == (len(told) == 1) == flag
+
+
 def test_zeros():
     """A side is that of the start or of ``s0``; a plateau at zero does not change it."""
     run = driven(lambda t, q, w, p: max(0.0, 1.0 - t), n_steps=10)
