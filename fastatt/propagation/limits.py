@@ -16,7 +16,6 @@ from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods.method import TORQUED, Method
 from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.initial import Initial
-from fastatt.propagation.stiffness import fastest_states
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
 from fastatt.scene.torque_record import fastest_decay
@@ -65,6 +64,8 @@ class StepLimits:
 
     def warn_of_states(self, packed: Packed, start: Initial, t0: float) -> None:
         """Warn of states of the scene that change too fast for the steps, at the start."""
+        from fastatt.propagation.stiffness import fastest_states
+
         decay, frequency = fastest_states(packed, start, t0)
         h, limit = float(np.abs(self.dt).max()), self.method.damping_limit
         for rate, most, what in (
