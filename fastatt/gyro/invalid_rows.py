@@ -52,18 +52,18 @@ def in_order(
             f"{table.place(shared[0])}: packets, or stamps too coarse for the rate; "
             "accepted: increasing time stamps, or rate= in their place"
         )
-    steps = np.diff(s)
-    longest = GAP * _usual(steps) if max_gap is None else max_gap
     kept = _without_outliers(s)
     s, rows = s[kept] - s[kept][:1], rows[kept]
     steps = np.diff(s)
+    usual = float(np.median(steps)) if steps.size else np.inf
+    longest = GAP * usual if max_gap is None else max_gap
     resets = rows[1:][steps <= 0.0]
     if resets.size:
         raise GyroLogError(
             f"{clock[:60]} in {table.place(resets[0])} is decreasing, and the clock goes on "
             "from there; accepted: a log of one clock, or rate= in place of time stamps"
         )
-    _refuse_bursts(table, clock, steps)
+    _refuse_bursts(clock, steps)
     gaps = steps > longest
     if jumps.any():
         gaps |= np.diff(np.cumsum(jumps)[rows]) > 0
@@ -77,12 +77,12 @@ def in_order(
         if usable[k]:
             what = _what(kind, t[: k + 1], longest)
         raise GyroLogError(f"{clock[:60]} in {table.place(k)}{what}")
-    return s, rows, _lost(table, s, steps, rows) + said
+    return s, rows, _lost(table, s, steps, usual, rows) + said
 
 
-def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
+def _refuse_bursts(clock: str, steps: Floats) -> None:
     """Refuse stamps of which several follow each other closely, again and again."""
-    if not len(steps):
+    if not len(steps) or np.mean(steps) <= 2.0 * np.min(steps):
         return
     usual, mean = float(np.quantile(steps, 0.25)), float(np.mean(steps))
     pauses = steps[steps > 3.0 * usual]
@@ -95,12 +95,13 @@ def _refuse_bursts(table: Table, clock: str, steps: Floats) -> None:
         )
 
 
-def _lost(table: Table, s: Floats, steps: Floats, rows: NDArray[np.int64]) -> list[str]:
+def _lost(
+    table: Table, s: Floats, steps: Floats, usual: float, rows: NDArray[np.int64]
+) -> list[str]:
     """What is said of samples that are missing between successive rows; warns of many in holes.
 
     Of gaps, which are accepted by an argument, is not warned.
     """
-    usual = _usual(steps)
     holes = np.flatnonzero(steps > 1.5 * usual)
     holes = holes[rows[holes + 1] - rows[holes] == 1]
     if not holes.size:
@@ -131,12 +132,6 @@ def _said(table: Table, kind: str, rows: NDArray[np.int64], since: Floats) -> st
     some = [f"{table.place(k)} at {before:.6g} s" for k, before in shown]
     kind = kind if len(rows) > 1 else re.sub(r"s\b", "", kind)
     return f"{len(rows)} {kind}: {', '.join([*some, '...'][: len(rows)])}"
-
-
-def _usual(steps: Floats) -> float:
-    """The median of the intervals above 0; infinite without one."""
-    ahead = steps[steps > 0.0]
-    return float(np.median(ahead)) if ahead.size else np.inf
 
 
 def _shared(s: Floats, rates: Floats, rows: NDArray[np.int64]) -> NDArray[np.int64]:
