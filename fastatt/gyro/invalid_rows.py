@@ -53,7 +53,8 @@ def in_order(
             "accepted: increasing time stamps, or rate= in their place"
         )
     kept = _without_outliers(s)
-    s, rows = s[kept] - s[kept][:1], rows[kept]
+    s, rows = s[kept], rows[kept]
+    s = s - s[:1]
     steps = np.diff(s)
     usual = float(np.median(steps)) if steps.size else np.inf
     longest = GAP * usual if max_gap is None else max_gap

@@ -37,6 +37,9 @@ def read_gyro_log(
     on_bad_rows: str = "refuse",
     max_gap: float | None = None,
     values: str | None = None,
+    accel_columns: Sequence[str] | None = None,
+    accel_unit: str | None = None,
+    mag_columns: Sequence[str] | None = None,
 ) -> GyroLog:
     """Read a gyro log.
 
@@ -86,6 +89,13 @@ def read_gyro_log(
         Of means and increments the first is left out, since its interval begins before the first
         stamp, unless the log has a sample rate in place of stamps.
 
+    accel_columns, mag_columns : sequence of str or int, optional
+        Names of the columns x, y and z of an accelerometer's specific force and of a magnetometer,
+        or their numbers from 1, where their names do not say it.
+    accel_unit : str, optional
+        Unit of ``accel_columns``: "m/s²", "cm/s²", "mm/s²", "g" or "mg", if their names and the
+        format have none; "-g" for specific force of the opposite sign.
+
     Returns
     -------
     GyroLog
@@ -118,7 +128,7 @@ def read_gyro_log(
     >>> log.rates.shape, log.dt
     ((2, 3), array([0.01]))
     """
-    _check_words(on_bad_rows, unit, values, time_unit)
+    _check_words(on_bad_rows, unit, values, time_unit, accel_unit)
     if max_gap is not None:
         max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
     pairs = _pairs(rows)
@@ -127,7 +137,7 @@ def read_gyro_log(
         gyro = _gyro(table, columns)
         axes = tuple(table.column(i) for i in gyro)
         defined = names.format_of(table.names, axes, table.name)
-        others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
+        others = _others(table, defined, accel_columns, accel_unit, mag_columns)
         clock = [] if rate is not None else _clock(table, time_column, defined)
         values = _values(axes, values, defined)
         unit = names.rate_unit(axes, unit, values, defined)
@@ -185,16 +195,47 @@ def read_gyro_log(
 
 
 def _check_words(
-    on_bad_rows: str, unit: str | None, values: str | None, time_unit: str | None
+    on_bad_rows: str,
+    unit: str | None,
+    values: str | None,
+    time_unit: str | None,
+    accel_unit: str | None,
 ) -> None:
     """Refuse words that are not accepted."""
     checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
     for name, word, accepted in (
         ("unit", unit, UNITS | ANGLES), ("values", values, VALUES),
         ("time_unit", time_unit, names.TIME_UNITS),
+        ("accel_unit", accel_unit, names.ACCEL_UNITS),
     ):  # fmt: skip
         if word is not None:
             checks.choice(name, word, accepted)
+
+
+def _others(
+    table: Table,
+    defined: names.Format | None,
+    accel_columns: Sequence[str] | None,
+    accel_unit: str | None,
+    mag_columns: Sequence[str] | None,
+) -> dict[str, tuple[list[int], float, str]]:
+    """Columns of the other sensors, as given or known by their names; units, and what is said."""
+    others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
+    if mag_columns is not None:
+        axes = table.chosen(mag_columns, 3, "mag_columns")
+        others["mag"] = axes, 1.0, f"magnetometer: {table.column(axes[0])[:60]} ..."
+    if accel_columns is not None:
+        axes = table.chosen(accel_columns, 3, "accel_columns")
+        name = table.column(axes[0])[:60]
+        said = names.unit_of_other("accel", name, defined)
+        if accel_unit not in (names.ACCEL_UNITS if said is None else (None, said)):
+            accepted = ", ".join(names.ACCEL_UNITS) if said is None else f"{said}, or none"
+            raise GyroLogError(f"accel_unit: found {accel_unit!r} for {name}; accepted: {accepted}")
+        unit = said or str(accel_unit)
+        others["accel"] = axes, names.ACCEL_UNITS[unit], f"accelerometer in {unit}: {name} ..."
+    elif accel_unit is not None:
+        raise GyroLogError(f"accel_unit: found {accel_unit!r}; accepted: with accel_columns alone")
+    return others
 
 
 def _values(axes: Sequence[str], values: str | None, defined: names.Format | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -337,6 +338,18 @@ def test_what_is_no_specific_force_and_no_magnetic_field_is_left_out(names, why)
     assert log.mag is None
     word = "magnetometer" if "mag" in names.lower() else "accelerometer"
     assert f"; no {word}: {names.format('X')} ... is {why}" in log.summary
+
+
+def test_columns_of_other_sensors_are_named():
+    more = dict(zip("abcdefghi", np.hstack([A, W, A]).T.tolist(), strict=True))
+    of_g = {f"{a} (mg)": column for a, column in zip("uvw", A.T.tolist(), strict=True)}
+    read = partial(fa.read_gyro_log, mag_columns=["d", "e", "f"])
+    log = read(of_gyro(GYRO, more), accel_columns=["a", "b", 7], accel_unit="g")
+    assert np.array_equal(log.accel, A * 9.80665)
+    assert np.array_equal(log.mag, W)
+    assert "; accelerometer in g: a ...; magnetometer: d ..." in log.summary
+    log = read(of_gyro(GYRO, more | of_g), accel_columns=[*of_g])
+    assert np.array_equal(log.accel, A * 9.80665e-3)
 
 
 @each("unit", ["uT", "µT", "nT", "T", "gauss", "mG", "g"])

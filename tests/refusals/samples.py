@@ -262,6 +262,13 @@ REFUSED = [
      for name in ("T", "T (degC)", "T [°C]", "t [C]")],
     *[(f"…time stamps: found '{stamp}', a date …{what}; accepted: dates of ISO 8601", dated(stamp))
       for stamp, what in DATES],
+    ("…accel_unit: found None for gx (rad/s); accepted: m/s², cm/s², mm/s², g, mg, -g",
+     text(SAID.format(*GYRO.split(",")), accel_columns=[2, 3, 4])),
+    ("…accel_unit: found 'mg' for a (g); accepted: g, or none",
+     text(f"t (s),a (g),{GYRO}\n0,1,2,3,4\n1,1,2,3,4\n", accel_columns=[2, 3, 4], accel_unit="mg")),
+    ("accel_unit: found 'G'; accepted: m/s²", text(GOOD, accel_unit="G")),
+    ("…accel_unit: found 'g'; accepted: with accel_columns alone",
+     text(SAID.format(*GYRO.split(",")), accel_unit="g")),
     # tables
     ("…columns of lengths [2, 3]", lambda: fa.read_gyro_log({"t": [1, 2], "gx": [1, 2, 3]})),
     ("…row 0: gyro_x (rad/s) is …; accepted: a fin", table(T[:5], np.ones(5) * 1j)),
