@@ -38,8 +38,8 @@ def read_gyro_log(
     max_gap: float | None = None,
     values: str | None = None,
     accel_columns: Sequence[str] | None = None,
-    accel_unit: str | None = None,
     mag_columns: Sequence[str] | None = None,
+    accel_unit: str | None = None,
 ) -> GyroLog:
     """Read a gyro log.
 
