@@ -267,7 +267,7 @@ def integers():
 @smoke
 def versions():
     """One warning says which are newer."""
-    return [str(x.message) for x in told if "seen" in str(x.message)] == [
+    return [str(x.message) for x in told if "versions" in str(x.message)] == [
         "versions: found Numba 0.99.0 (seen: up to 0.68); "
         "interfaces that may differ are tried before they are used"
     ]
