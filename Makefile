@@ -68,7 +68,8 @@ test-all: $(VENV)/.test  ## the tests, the examples of all pages and the benches
 	$(call tests)
 
 fuzz: $(VENV)/.test  ## the random testers, MINUTES each, of other cases each day
-	FASTATT_MINUTES=$(or $(MINUTES),10) $(BIN)/pytest -n auto -p no:benchmark -rA tests/testers
+	FASTATT_MINUTES=$(or $(MINUTES),10) $(BIN)/pytest -n auto -p no:benchmark -rA tests/testers \
+		tests/test_undocumented.py
 
 pythons: $(VENV)/.test  ## a part of the tests with other Pythons, and the lowest, locked and newest Numba and NumPy
 	.ci/pythons

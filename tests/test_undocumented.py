@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -303,10 +304,14 @@ def amputated(tmp_path_factory):
     return found
 
 
+WAYS = ("deleted", "raising", "silent")
+#: a process takes ten seconds: of each interface one way a day, and all of them by `make fuzz`
+OFTEN = {("overloads", "deleted"), ("compile", "deleted"), ("mk_unique_var", "deleted")}
+TODAY = {(x, WAYS[(datetime.now(UTC).toordinal() + i) % 3]) for i, x in enumerate(NAMES)}
+EVERY = {(x, way) for x in NAMES for way in WAYS}
 TAKEN = [
-    pytest.param(x, way, marks=[pytest.mark.slow] * (way != "deleted" or x == "_nrt"))
-    for x in NAMES
-    for way in ("deleted", "raising", "silent")
+    pytest.param(*case, marks=[pytest.mark.slow] * (case not in OFTEN))
+    for case in sorted(EVERY if "FASTATT_MINUTES" in os.environ else OFTEN | TODAY)
 ]
 
 
