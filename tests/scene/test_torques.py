@@ -326,7 +326,7 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
 
 def test_every_torque_of_the_package_is_among_the_models():
     # of scenes with mass, with states, with samples in time: tests in files of their names
-    elsewhere = {"CentralGravityGradient", "ReactionWheels", "SampledControl"}
+    elsewhere = {"CentralGravityGradient", "ReactionWheels", "SampledControl", "Switch"}
     assert {*MODELS, *elsewhere} - {"DampingOfAxes"} == set(ft.__all__) - {"Custom", "Sum"}
 
 
