@@ -228,7 +228,8 @@ class Twice:
 
 
 class Box:
-    k, now, twice, power = 0.25, Clock(), Twice(), functools.partial(pow, 2.0)
+    k, now, twice = 0.25, Clock(), Twice()
+    power = staticmethod(functools.partial(pow, 2.0))
 
     def __getattr__(self, name):
         return {"gain": 3.0}[name]
