@@ -28,7 +28,7 @@ from test_readme import PAGES, in_blocks, in_text  # noqa: E402
 #: what takes minutes
 ELSEWHERE = (
     ".ci/run", "make commands", "make docs", "make format", "make fuzz", "make layers",
-    "make leaderboard",
+    "make leaderboard", "make pythons",
     "make test", "make venv", "pip ", "pytest ",
     "python bench/leaderboard.py", "python bench/method_table.py", "python bench/mutations.py",
 )  # fmt: skip
