@@ -22,13 +22,13 @@ from numba import config, njit, types
 
 #: the newest releases that were seen, and what is found
 _SEEN = {"Numba": (0, 68), "llvmlite": (0, 50), "Python": (3, 13)}
-_FOUND = {
+FOUND = {
     "Numba": numba.__version__, "llvmlite": llvmlite.__version__, "Python": sys.version.split()[0],
 }  # fmt: skip
 #: what is newer than that; empty if nothing is
 NEW = ", ".join(
     f"{name} {found} (seen: up to {'.'.join(map(str, _SEEN[name]))})"
-    for name, found in _FOUND.items()
+    for name, found in FOUND.items()
     if tuple(map(int, re.findall(r"\d+", found)[:2])) > _SEEN[name]
 )
 #: the value of a type without values, such as None
@@ -37,7 +37,7 @@ NOTHING = ir.Constant(ir.IntType(8).as_pointer(), None)
 
 def differs(what: str, then: str) -> ImportError:
     """The error where an interface is not as it was."""
-    versions = ", ".join(f"{name} {found}" for name, found in _FOUND.items())
+    versions = ", ".join(f"{name} {found}" for name, found in FOUND.items())
     return ImportError(f"numba: found {versions}, where this differs: {what}; accepted: {then}")
 
 
@@ -63,7 +63,7 @@ if NEW and not _is_known(LOOP):
 
 
 def moved(function: Any, file: str) -> Any:
-    """A function as if its source were another file, beside which Numba keeps machine code."""
+    """A function as if its source were another file, next to which Numba keeps machine code."""
     code = function.__code__.replace(co_filename=file)
     name, values = function.__name__, function.__defaults__
     return FunctionType(code, function.__globals__, name, values, function.__closure__)

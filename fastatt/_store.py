@@ -28,10 +28,9 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TypeVar
 
-import llvmlite
 import numba
 
-from fastatt._numba import NEW, folder_of, target
+from fastatt._numba import FOUND, NEW, folder_of, target
 
 #: bytes that the folder may hold before the files that were not used for longest are removed
 LIMIT = 256 << 20
@@ -67,7 +66,7 @@ def kept(key: str, make: Callable[[str | None], Made]) -> Made:
         _tell_versions()
         _check_numbas()
         path = folder()
-        versions = *target(), llvmlite.__version__, numba.__version__, sys.version
+        versions = *target(), repr(FOUND), sys.version
         digest = hashlib.sha256("\0".join((key, *versions)).encode()).hexdigest()[:40]
         if path is not None:
             file = path / f"{_PREFIX}{digest}"

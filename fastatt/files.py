@@ -14,6 +14,8 @@ from typing import IO, Any
 
 from fastatt import checks
 
+_LETTERS = 24  # of a name, that the name of a part has
+
 
 def target(name: str, path: str | os.PathLike[str]) -> Path:
     """The path of a file to be written; ``name`` is that of the argument.
@@ -45,7 +47,8 @@ def writing(
         with whole.open(f"w{letter}", **options) as file:
             yield file
         return
-    part = f".{whole.name}.{platform.node()}-"
+    # of a long name its first letters, since a folder limits names to 255 bytes
+    part = f".{whole.name[:_LETTERS]}.{platform.node()[:_LETTERS]}-"
     _remove_left(whole.parent, part)
     temporary = whole.with_name(f"{part}{os.getpid()}-{token_hex(8)}.part")
     try:

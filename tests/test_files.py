@@ -131,3 +131,9 @@ def test_a_checkpoint_into_a_folder_is_refused_before_the_run(tmp_path, monkeypa
     monkeypatch.setattr("fastatt.propagation.plan.Plan.run", lambda *_, **__: pytest.fail("begun"))
     with pytest.raises(ValueError, match="checkpoint: found the directory"):
         fa.propagate(BODY, **START, n_steps=20, checkpoint=tmp_path)
+
+
+def test_a_name_as_long_as_folders_allow(tmp_path):
+    path = tmp_path / f"{'n' * 251}.csv"
+    run().to_csv(path)
+    assert [path] == [*tmp_path.iterdir()]

@@ -102,12 +102,12 @@ def _joined(runs: Sequence[Trajectory]) -> Trajectory:
     joined: Any = {k: np.concatenate([getattr(run, k) for run in runs], axes[k]) for k in axes}
     carried = {k: np.concatenate([run.carried[k] for run in runs], 1) for k in runs[0].carried}
     firsts = accumulate((run.status.size for run in runs), initial=0)
-    found = [
+    located = [
         (i, first + bodies, *rest)
         for run, first in zip(runs, firsts, strict=False)
-        for i, bodies, *rest in run.found
+        for i, bodies, *rest in run.located
     ]
-    return replace(runs[0], carried=carried, found=tuple(found), **joined)
+    return replace(runs[0], carried=carried, located=tuple(located), **joined)
 
 
 def propagate(

@@ -220,7 +220,7 @@ def after_step(scope: Scope) -> Flat:
     if sleeps is not None:
         stays = [choose(sleeps, y, z) for y, z in zip(last, stays, strict=True)]
     largest = {of.name: scope.inputs(of.name, 1)[0] for of in of_steps}
-    # what is there in a step that is divided is found there
+    # those of a step that is divided are computed where it is divided
     counts = both(goes_on, negated(reduce(either, divided))) if divided else goes_on
     most = [choose(counts, x, y) for x, y in zip(largest.values(), held, strict=True)]
     each = {name: (x,) for name, x in zip(largest, most, strict=True)}

@@ -388,7 +388,7 @@ class RunWithEvents(Run):
 
 @lru_cache(maxsize=64)
 def _after(job: Job) -> RowFunction:
-    """What is there after a step of any size: values of events and switches, and a save.
+    """The results of a step of any size: values of events and switches, and a save.
 
     These are results for an event that stops or is located each time, and for switches, then the
     state too and the diagnostics of the step. A row is a body with its stepped variables after some

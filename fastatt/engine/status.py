@@ -91,7 +91,7 @@ class Step(NamedTuple):
 
     #: the square of its rotation angle
     square: Any
-    #: where the models of the torque are beside their jumps, at its two ends (``Torque.sides``)
+    #: on which side of their jumps the models of the torque are, at its two ends (``Torque.sides``)
     begun: Sequence[Vector]
     ended: Sequence[Vector]
 

@@ -108,7 +108,7 @@ def _lost(
     if not holes.size:
         return []
     missing = np.round(steps[holes] / usual) - 1.0
-    # late stamps are followed by short intervals; coarse ones stay beside even times
+    # late stamps are followed by short intervals; coarse ones stay near even times
     count = min(missing.sum(), np.round(s[-1] / usual) - len(steps))
     even = np.linspace(s[0], s[-1], len(s))
     if count < 1.0 or (len(holes) > 0.1 * len(s) and np.abs(s - even).max() < 2.0 * usual):

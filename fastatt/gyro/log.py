@@ -37,9 +37,9 @@ class GyroLog:
         intervals that end there, or angle increments over these. :func:`fastatt.integrate_rates`
         follows it, for the log itself and for its ``rates`` and ``dt``.
     accel : ndarray, or None
-        Specific force beside each of the rates, m/s². NaN where the log has no number.
+        Specific force at the time of each rate, m/s². NaN where the log has no number.
     mag : ndarray, or None
-        Magnetic field beside each of the rates, in the log's unit. NaN where the log has no number.
+        Magnetic field at the time of each rate, in the log's unit. NaN where the log has no number.
     rate : float
         Sample rate, Hz: the inverse of the mean interval, without intervals longer than 2.5 times
         the median.

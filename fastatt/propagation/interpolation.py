@@ -211,7 +211,7 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     before = np.searchsorted(saves.way * when, saves.way * asked, side="right") - 1
     return replace(
         run, t=asked, state=motion[0], norm_error=run.norm_error[before], attitude=QUATERNION,
-        carried=carried, end=None, every={}, found=(),
+        carried=carried, end=None, crossing_numbers={}, located=(),
     )  # fmt: skip
 
 

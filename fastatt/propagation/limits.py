@@ -95,7 +95,7 @@ class StepLimits:
         text = "" if angles is None else self._advice(angles)
         if angles is None or text or (status & Status.NON_FINITE).any():
             text = self._advice(first) or text
-        # of a run whose only step is a shorter last one nothing is told
+        # a run whose only step is a shorter last one gives no warning
         if angles is not None and angles.max() < least <= first.max() and not status.any():
             text = ""
         if text:

@@ -51,7 +51,7 @@ def to_file(path: str | os.PathLike[str]) -> ToFile:
     A history may be larger than memory, of which 16 saves take a part at a time. The file holds
     (S, N, k) numbers: the attitudes, then w, v, r and s if the scene has them, then the norm error.
     When a run begins, it has its whole size on the disk, and replaces a file of that name: saves
-    that are not made yet are NaN. The times of the saves, s, are beside it, in ``*.times.npy``.
+    that are not made yet are NaN. The times of the saves, s, are in ``*.times.npy``.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def options_of(
 class History:
     """A file of (S, N, k) numbers: attitudes, then w, v, r and s if present, then norm errors.
 
-    Saves that were not made are NaN. A file beside it has the times.
+    Saves that were not made are NaN. A file next to it has the times.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class Output:
         saves, status, event_times, crossings = self.results
         # flags and times of events change later
         results = Results(saves[: end - first], status.copy(), event_times.copy(), [*crossings])
-        piece = self._made(self._times[first:end], results, before=self._last)
+        piece = self._made(self._times[first:end], results, q_before=self._last)
         for take in self._takers:
             take(piece)
         self._last = piece.last_taken
@@ -245,7 +245,7 @@ class Output:
             self._file.close()
 
     def so_far(self) -> Trajectory | None:
-        """What is kept of an interrupted run; None of saves that a function has taken."""
+        """The saves of an interrupted run; None of saves that a function has taken."""
         if not self.is_ring:
             return self._made(self._times, self.results)
         if self._file is None:

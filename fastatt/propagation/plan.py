@@ -363,7 +363,7 @@ class Plan:
 
     def _trajectory(
         self, t: NDArray[np.float64], results: Results, *, one_body: bool, end: End | None = None,
-        before: NDArray[Any] | None = None,
+        q_before: NDArray[Any] | None = None,
     ) -> Trajectory:  # fmt: skip
         """The trajectory of the given saves."""
         saves, schedule, events = results.saves, self.schedule, self.choice.events
@@ -379,14 +379,14 @@ class Plan:
             record=self.choice.method,
             carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
-            before=before,
+            q_before=q_before,
             first_crossings=results.event_times if events else None,
             terminal=tuple(x.terminal for x in events),
-            every={
+            crossing_numbers={
                 **{i: i for i, x in enumerate(events) if x.every},
                 **{name: len(events) + k for k, name in enumerate(self._switches)},
             },
-            found=tuple(results.crossings),
+            located=tuple(results.crossings),
             columns=self._columns,
             divisions=divisions_of(self.scene),
             parts=self.scene.parts,

@@ -1,4 +1,4 @@
-"""How fast the states of a scene change by themselves, beside the steps of a method."""
+"""How fast the states of a scene change by themselves, compared with the steps of a method."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fastatt.tracing.formulas import quat
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.source import function
 
-# bodies that are looked at, and the share of a state by which it is changed
+# bodies that are checked, and the share of a state by which it is changed
 _BODIES, _SHARE = 64, 1e-6
 
 

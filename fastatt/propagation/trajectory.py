@@ -96,15 +96,15 @@ class Trajectory:
     first_crossings: NDArray[np.float64] | None = field(default=None, repr=False)
     #: which of the events are terminal
     terminal: tuple[bool, ...] = field(default=(), repr=False)
-    #: the numbers of events and switches whose crossings are all ``found``, by number or name
-    every: Mapping[int | str, int] = field(default_factory=dict, repr=False)
-    found: tuple[tuple[int, Any, Any, Any], ...] = field(default=(), repr=False)
-    #: where what is carried is in the values of a save
+    #: the numbers of events and switches whose crossings are all ``located``, by number or name
+    crossing_numbers: Mapping[int | str, int] = field(default_factory=dict, repr=False)
+    located: tuple[tuple[int, Any, Any, Any], ...] = field(default=(), repr=False)
+    #: the columns of each carried quantity in the values of a save
     columns: Mapping[str, slice] = field(default_factory=dict, repr=False)
     #: what divided its steps
     divisions: Divisions = field(default=Divisions(), repr=False)
     #: the quaternions of the save before, whose sign goes on; None of the first save
-    before: NDArray[Any] | None = field(default=None, repr=False)
+    q_before: NDArray[Any] | None = field(default=None, repr=False)
     #: where the states of terms with names are in ``s``
     parts: Mapping[str, slice] = field(default_factory=dict, repr=False)
 
@@ -141,9 +141,9 @@ class Trajectory:
             q = self._shaped(self.attitude.to_quat_array(self.state))
         if self.attitude.family == "quaternion":
             return q
-        if self.before is None:
+        if self.q_before is None:
             return arrays.make_continuous(q)
-        return arrays.make_continuous(np.concatenate([self.before, q]))[1:]
+        return arrays.make_continuous(np.concatenate([self.q_before, q]))[1:]
 
     @property
     def last_taken(self) -> NDArray[Any] | None:
@@ -236,13 +236,15 @@ class Trajectory:
         ValueError
             If there is no such event or switch.
         """
-        if event not in self.every:
-            known = ", ".join(map(repr, self.every)) or "an event(every=True), or a Switch"
+        if event not in self.crossing_numbers:
+            known = (
+                ", ".join(map(repr, self.crossing_numbers)) or "an event(every=True), or a Switch"
+            )
             raise ValueError(f"event: found {checks.brief(event)}; accepted: {known}")
-        which, stored = self.every[event], self.attitude.stored
+        which, stored = self.crossing_numbers[event], self.attitude.stored
         width = max([stored, *(x.stop for x in self.columns.values())]) + 1
         nothing = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, width))
-        parts = zip(nothing, *(x[1:] for x in self.found if x[0] == which), strict=True)
+        parts = zip(nothing, *(x[1:] for x in self.located if x[0] == which), strict=True)
         body, t, saved = map(np.concatenate, parts)
         order = np.lexsort((t if np.min(self.dt) > 0.0 else -t, body))
         body, t, saved = body[order], t[order], saved[order][:, None].astype(self.state.dtype)

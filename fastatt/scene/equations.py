@@ -168,7 +168,7 @@ class EquationsOfMotion:
         return ()
 
     def sides(self, t: Any, x: Vector, coupled: CoupledStates = UNCOUPLED) -> list[Vector]:
-        """Where the models of a torque are beside their jumps."""
+        """On which side of their jumps the models of a torque are."""
         return []
 
 

@@ -150,7 +150,7 @@ class Law:
         return (*acting, *(slope for result in results for slope in result[3:]))
 
     def sides(self, t: Any, pose: Any, p: Any, states: Vector) -> list[Vector]:
-        """Where the models of a torque are beside their jumps, at a pose."""
+        """On which side of their jumps the models of a torque are, at a pose."""
         return [
             side
             for term, params, part in self.places

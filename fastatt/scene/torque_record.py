@@ -108,8 +108,8 @@ class Torque(Model):
     energy arm·Cᵀpull; a symmetric body with the arm on its axis has a closed form.
     ``wheel_momentum()`` is the angular momentum of wheels, N·m·s along body axes, of torques that
     conserve the momentum of body and wheels together. ``wheels()`` is (moment of inertia, axis) of
-    each reaction wheel. ``sides(t, pose, states)`` are vectors that turn by more than 90° where the
-    torque jumps, for the flag of a step across.
+    each reaction wheel. ``sides(t, pose, states)`` are vectors that rotate by more than 90° where
+    the torque jumps, for the flag of a step across.
     """
 
     kind = "torque"
@@ -127,7 +127,7 @@ class Torque(Model):
     exerts_nothing: ClassVar[bool] = False
 
     def sides(self, t: Any, pose: Pose, states: Vector) -> list[Vector]:
-        """Vectors that turn by more than 90° where the torque jumps."""
+        """Vectors that rotate by more than 90° where the torque jumps."""
         return []
 
     def evaluate(self, *state: Any) -> Any:

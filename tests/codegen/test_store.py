@@ -13,8 +13,6 @@ import time
 import weakref
 from pathlib import Path
 
-import llvmlite
-import numba
 import pytest
 from numba import types
 
@@ -99,8 +97,8 @@ def test_what_other_sources_emitted_is_not_taken(cache, monkeypatch, tmp_path, e
 
 
 OTHERS = {
-    "Numba": lambda patch: patch.setattr(numba, "__version__", "0.1"),
-    "llvmlite": lambda patch: patch.setattr(llvmlite, "__version__", "0.1"),
+    "Numba": lambda patch: patch.setitem(store.FOUND, "Numba", "0.1"),
+    "llvmlite": lambda patch: patch.setitem(store.FOUND, "llvmlite", "0.1"),
     "Python": lambda patch: patch.setattr(sys, "version", "3.1"),
     "features": ("x86_64-linux-gnu", "skylake", "+sse2,+avx,+avx2"),
     "name": ("x86_64-linux-gnu", "znver3", "+sse2,+avx"),
