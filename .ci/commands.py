@@ -1,4 +1,4 @@
-"""Run every command that a page names, small: ``python .ci/commands.py``.
+"""Run every command that a page names, and every script of bench/, small.
 
 Commands run in a copy of the checkout, with ``FASTATT_SMOKE=1``: scripts of ``bench/`` and targets
 of the Makefile then take few bodies and few repeats. Targets that ``.ci/run`` calls itself, tests
@@ -31,16 +31,22 @@ ELSEWHERE = (
     "make leaderboard", "make pythons",
     "make test", "make venv", "pip ", "pytest ",
     "python bench/leaderboard.py", "python bench/method_table.py", "python bench/mutations.py",
+    "python bench/page_figures.py",
 )  # fmt: skip
 LIMIT = 900  # s, for a command that hangs
 
 
 def commands() -> list[str]:
-    """The commands of all pages, each once, without those that CI runs elsewhere."""
+    """The commands of all pages, and scripts, each once, but for those that CI runs elsewhere."""
     pages = [*PAGES, *sorted((ROOT / "bench").glob("*.md"))]
     texts = [page.read_text(encoding="utf-8") for page in pages]
-    found = dict.fromkeys(c for text in texts for c in (*in_blocks(text), *in_text(text)))
-    return [c for c in found if not c.startswith(ELSEWHERE)]
+    named = dict.fromkeys(c for text in texts for c in (*in_blocks(text), *in_text(text)))
+    targets = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for script in sorted((ROOT / "bench").glob("*.py")):
+        is_command = "__main__" in script.read_text(encoding="utf-8")
+        if is_command and not any(script.name in text for text in (*named, targets)):
+            named[f"python bench/{script.name}"] = None
+    return [c for c in named if not c.startswith(ELSEWHERE)]
 
 
 def write_inputs(folder: Path) -> None:
@@ -97,9 +103,9 @@ def main() -> int:
         (folder / ".venv").symlink_to(ROOT / ".venv")
         write_inputs(folder)
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            found = commands()
-            failures = [x for x in pool.map(lambda c: run(c, folder), found) if x]
-    print(f"{len(found)} commands, {len(failures)} failed")
+            all_commands = commands()
+            failures = [x for x in pool.map(lambda c: run(c, folder), all_commands) if x]
+    print(f"{len(all_commands)} commands, {len(failures)} failed")
     print("\n".join(failures), file=sys.stderr)
     return int(bool(failures))
 

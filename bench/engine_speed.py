@@ -10,6 +10,7 @@ each, one after the other, with ``PYTHONPATH``.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 import warnings
@@ -19,7 +20,7 @@ import numpy as np
 import fastatt as fa
 
 RNG = np.random.default_rng(20261126)
-RUNS = 5
+RUNS = 1 if os.environ.get("FASTATT_SMOKE") else 5
 
 
 def ensemble(n):
