@@ -23,6 +23,7 @@ Array = NDArray[Any]
 
 _OPERATIONS = 2_000_000_000  # of the first piece of a group of tiles
 _SECONDS = 0.1  # of a piece of a group, after which Ctrl-C is answered
+_LONGEST = 1 << 40  # steps of a piece; saves may end all pieces sooner
 # tiles of a group, and of one whose bodies call a function, which may take any time
 _TILES, _CALLING = 64, 1
 # steps of the first piece in which events are looked for
@@ -173,7 +174,7 @@ class Run:
         seconds = in_threads(calls, self._n_threads)
         share = _SECONDS / max(1e-9, *seconds)
         if not 1.0 <= share <= 2.0:
-            self._pace = int(self._pace * min(2.0, share))
+            self._pace = int(min(self._pace * min(2.0, share), _LONGEST))
         self._read_flags()
 
     def _read_flags(self) -> None:

@@ -46,6 +46,13 @@ def test_one_bar_for_all_pieces(bars, method):
     assert found == pytest.approx([*(0.5 * np.arange(34)), 16.65])
 
 
+def test_many_pieces_are_handed_out(bars):
+    """The pace of a run does not grow without end where saves end all of its pieces."""
+    sizes = []
+    run(n_steps=18000, save_every=1, method="rk4", on_save=lambda piece: sizes.append(piece.t.size))
+    assert sum(sizes) == 18001
+
+
 def test_a_bar_counts_the_steps_of_all_bodies(bars):
     run(n_steps=130, n_threads=2, method="rk4")
     ((total, done),) = bars
