@@ -169,6 +169,7 @@ def test_ctrl_c_at_each_piece(is_file, tmp_path, monkeypatch):
                 run = stopped.trajectory
         done = int(np.isfinite(run.w[:, 0, 0]).sum())
         saves.append(done)
+        assert run.t.tobytes() == whole.t[: done if is_file else None].tobytes()
         assert run.state[:done].tobytes() == whole.state[:done].tobytes()
         assert np.isnan(run.state[done:]).all()
         assert (run.status == fa.Status.UNFINISHED).all()

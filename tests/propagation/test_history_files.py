@@ -3,15 +3,14 @@
 import os
 import resource
 import signal
-import subprocess
-import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fastatt as fa
+from fastatt.engine import run as engine_run
+from fastatt.propagation import end
 
 BODY = fa.Scene(inertia=(3.0, 2.0, 1.0))
 START = [0.5, 0.5, -0.5, 0.5], [0.3, 2.0, 0.4]
@@ -19,8 +18,8 @@ RUN = {"dt": 0.05, "n_steps": 200, "save_every": 5, "method": "rk4"}
 FILES = ["history.npy", "history.times.npy"]
 
 
-def saved(path, *functions):
-    return fa.propagate(BODY, *START, **RUN, on_save=[*functions, fa.to_file(path)])
+def saved(path, *functions, **more):
+    return fa.propagate(BODY, *START, **RUN, **more, on_save=[*functions, fa.to_file(path)])
 
 
 def names(folder):
@@ -39,11 +38,16 @@ def files_of_at_most(size):
 
 
 @pytest.mark.parametrize("method", ["rk4", "exact"])
-def test_times_are_beside_the_history(method, tmp_path):
-    path = tmp_path / FILES[0]
-    run = fa.propagate(BODY, *START, **{**RUN, "method": method}, on_save=fa.to_file(path))
-    assert np.array_equal(np.load(tmp_path / FILES[1]), run.t)
-    assert np.array_equal(np.load(path)[:, 0, :4], run.q)
+def test_a_history_is_that_in_memory_with_its_times_beside_it(method, tmp_path):
+    path, start = tmp_path / FILES[0], [np.tile(x, (3, 1)) for x in START]
+    options = {**RUN, "method": method, "n_steps": 201}
+    whole = fa.propagate(BODY, *start, **options)
+    run = fa.propagate(BODY, *start, **options, on_save=fa.to_file(path))
+    history = np.concatenate([whole.q, whole.w, whole.norm_error[..., None]], axis=-1)
+    assert np.load(path).tobytes() == history.tobytes()
+    assert np.load(tmp_path / FILES[1]).tobytes() == run.t.tobytes() == whole.t.tobytes()
+    for name in ("state", "w", "norm_error", "status"):
+        assert getattr(run, name).tobytes() == getattr(whole, name).tobytes()
     assert names(tmp_path) == FILES
 
 
@@ -92,37 +96,43 @@ def test_what_was_not_saved_is_no_number(tmp_path):
     assert np.isnan(history[made.size :]).all()
 
 
-KILLED = """
-import os, signal, sys
-import fastatt as fa
-
 def kill(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 
-def at_a_save(piece):
+
+def kill_at_a_save(piece):
     if piece.t[-1] > 5.0:
         kill()
 
-if sys.argv[2] == "room":
-    os.fsync = kill
-fa.propagate(fa.Scene(inertia=(3.0, 2.0, 1.0)), [0.5, 0.5, -0.5, 0.5], [0.3, 2.0, 0.4], dt=0.05,
-             n_steps=200, save_every=5, method="rk4", on_save=[at_a_save, fa.to_file(sys.argv[1])])
-"""
 
-
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.parametrize("at", ["room", "save"])
-def test_a_killed_run(at, tmp_path):
-    """No row looks like a result that is none; the next run removes what this one left."""
-    path = tmp_path / FILES[0]
+def test_a_killed_run(at, tmp_path, monkeypatch):
+    """No row looks like a result that is none; what is in the files goes on, to the bit."""
+    path, checkpoint = tmp_path / FILES[0], tmp_path / "end"
     whole = saved(path)
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    child = subprocess.run(
-        [sys.executable, "-c", KILLED, path, at], check=False, env=environment, timeout=300
-    )
-    assert child.returncode == -signal.SIGKILL
+    for module, name in ((end, "_WRITTEN"), (engine_run, "_OPERATIONS"), (engine_run, "_SECONDS")):
+        monkeypatch.setattr(module, name, 0)  # a checkpoint after each block
+    child = os.fork()
+    if not child:
+        signal.alarm(300)
+        os.fsync = kill if at == "room" else os.fsync
+        saved(path, kill_at_a_save, checkpoint=checkpoint)
+        os._exit(1)
+    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
     history, made = np.load(path), 41 if at == "room" else 17
     assert np.array_equal(history[:made, 0, :4], whole.q[:made])
     assert np.isnan(history[made:]).all()
-    assert len(names(tmp_path)) == (3 if at == "room" else 2)  # with a hidden part
+    assert len(names(tmp_path)) == 3  # with a hidden part, or with the checkpoint
+    if at == "save":
+        done = end.loaded(checkpoint).options["done"]
+        assert 0 < done < 128
+        rest = fa.resume(BODY, checkpoint, t_end=10.0, checkpoint=checkpoint, save_every=5)
+        assert rest.t[1:].tolist() == whole.t[done // 5 + 1 :].tolist()
+        assert rest.state[1:].tobytes() == whole.state[done // 5 + 1 :].tobytes()
+        # what is over is not done again
+        assert end.loaded(checkpoint).options["done"] == 200
+        assert fa.resume(BODY, checkpoint, t_end=10.0).q.tobytes() == whole.q[-1:].tobytes()
+        checkpoint.unlink()
     saved(path)
     assert names(tmp_path) == FILES
