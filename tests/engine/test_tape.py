@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 
@@ -116,3 +117,21 @@ def test_pieces_end_at_saves():
 def test_whole_steps_are_counted():
     found = pieces(legs_of(0.5, 3, breaks_at(0.7)), saves_at(1.5), pace=1, block=1)
     assert [x.whole for x in found] == [1, -1, 2, 3]
+
+
+def test_every_save_is_made_once():
+    """Of random runs, whose saves and breaks may be nearer to each other than rounding."""
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        dt, t0 = float(rng.choice([0.05, 1.0, -0.3])), float(rng.choice([0.0, 10.0, 1e6]))
+        end = float(rng.choice([1e-15, 4e-15, 1e-10, 0.3, 2.0])) * math.copysign(1.0, dt)
+        slack = 16.0 * np.finfo(float).eps * (2.0 * abs(t0) + abs(end))
+        cuts = np.sort(np.append(rng.uniform(0.0, 1.0, 3), rng.choice([0.5, 0.5 + 1e-14])))
+        cuts = cuts[np.diff(cuts, prepend=-1.0) * abs(end) > slack] * end
+        breaks = breaks_at(*cuts)
+        breaks = breaks._replace(times=breaks.times + t0, slack=slack * (breaks.since != 0.0))
+        at = end * np.sort([*rng.uniform(0.0, 1.0, 4), 0.0, 1.0, rng.choice([0.0, 1.0])])
+        legs = legs_of(dt, max(1, math.ceil(abs(end / dt))), breaks, end)
+        made = pieces(legs, (at, np.full(at.size, slack)), t0=t0, pace=1)
+        slots = [x.tape["slot"][x.tape["action"] == Action.SAVE] for x in made]
+        assert sorted(np.concatenate(slots)) == [*range(at.size)], (dt, t0, end, cuts)

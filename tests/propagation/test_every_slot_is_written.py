@@ -64,26 +64,57 @@ def resumed(folder, first, **options):
     return seen(fa.resume(SCENES["torqued"], folder / "end", **options))
 
 
-def run_of(scene, *given, **options):
-    return lambda folder: seen(fa.propagate(scene, *given, **options))
+def run_of(scene, q0, *rates, **options):
+    def way(folder):
+        run = fa.propagate(scene, q0, *rates, **options)
+        if options.get("t0") == NEAR[0]:  # no time has passed
+            unit = run.q / np.linalg.norm(run.q, axis=-1, keepdims=True)
+            assert fa.angle_between(unit, q0).max() < 1e-5
+            assert all(np.abs(run.w - w).max() < 1e-5 for w in rates)
+            assert not run.status.any()
+        return seen(run)
+
+    return way
+
+
+def in_a_loop(folder):
+    """To an end: the last run is as short as the rounding of its times, and tells of no step."""
+    (q, w), t = (Q0[0], W0[0]), 0.0
+    while t < 10.0:
+        end = min(t + 0.1, 10.0)
+        run = fa.propagate(SCENES["free"], q, w, t0=t, dt=0.05, t_end=end, method="rk8")
+        q, w, t = run.q[-1], run.w[-1], end
+    right, _ = fa.closed_form.free_body(Q0[0], W0[0], BODY, 10.0)
+    assert fa.angle_between(q, right) < 1e-12
+    return seen(run)
 
 
 def after(function, *args, **options):
     return lambda folder: function(folder, *args, **options)
 
 
-TORQUED = SCENES["torqued"], Q0, W0
-SOON = {"t0": 1.0, "t_end": np.nextafter(1.0, 2.0)}  # an end that rounding does not tell apart
+TORQUED, FREE = (SCENES["torqued"], Q0, W0), (SCENES["free"], Q0, W0)
+# ends that rounding does not tell from the start
+SOON = {"t0": 1.0, "t_end": np.nextafter(1.0, 2.0)}
+NEAR = 9.99999999999998, 10.0
+LATE = {"t0": NEAR[0], "t_end": NEAR[1]}
+BACK = {"t0": NEAR[1], "t_end": NEAR[0], "dt": -0.05}
 SAVES = (
     {"n_steps": 0}, {"n_steps": 7}, {"t_end": 0.52}, {"n_steps": 0, "save_every": 1},
     {"n_steps": 40, "save_every": 3}, {"t_end": 0.52, "save_every": 4},
     {"n_steps": 40, "save_at": [0.0, 0.02, 0.02, 0.05, 0.71, 2.0]},
     {**SOON, "save_every": 1}, {**SOON, "save_at": [1.0, 1.0]},
+    LATE, {**LATE, "save_every": 1}, {**LATE, "save_at": NEAR}, {"t0": NEAR[0], "save_at": [10.0]},
+    {"t0": NEAR[0], "save_at": [10.0], "t_end": 10.00001},
 )  # fmt: skip
 SIZES = np.array([0.05, 0.1, 0.05, 0.025, 0.1])
 WAYS = [
     *(run_of(*TORQUED, **{**RK4, **saves}) for saves in SAVES),
-    *(run_of(SCENES["free"], Q0, W0, **{**RK4, "method": "exact", **x}) for x in SAVES),
+    *(run_of(*FREE, **{**RK4, "method": "exact", **x}) for x in SAVES),
+    *(run_of(*FREE, **{**RK4, "method": m, **x}) for m in ("rk8", "dmv10") for x in (LATE, BACK)),
+    *(run_of(*FREE, **RK4, **LATE, **x)
+      for x in ({"dtype": "float32"}, {"compensated": True, "normalise": 1})),
+    run_of(*FREE, **{**RK4, **LATE, "dt": SIZES}), in_a_loop,
     *(run_of(SCENES["rate"], Q0, **{**RK4, "method": "magnus4", **x}) for x in SAVES),
     *(run_of(WHEELS, Q0, W0, **MOVED, **{**RK4, **saves}) for saves in SAVES),
     *(run_of(*TORQUED, **RK4, **x, events=EVENTS) for x in SAVES),
@@ -98,8 +129,9 @@ WAYS = [
     run_of(*TORQUED, **{**RK4, "dt": SIZES, "t_end": 0.5, "events": EVENTS}),
     after(handed_out, n_steps=40, save_every=1, **RK4),
     after(handed_out, n_steps=0, save_every=1, **RK4),
+    after(handed_out, t0=NEAR[0], save_at=NEAR, **RK4),
     after(handed_out, t_end=2.02, save_at=np.linspace(0.0, 2.0, 40), **RK4, events=EVENTS),
-    *(after(to_file, SCENES["torqued"], **RK4, **x) for x in SAVES[3:]),
+    *(after(to_file, SCENES["torqued"], **RK4, **x) for x in SAVES if "save_" in str(x)),
     after(to_file, SCENES["free"], dt=0.05, method="exact", n_steps=40, save_every=1),
     after(resumed, 5, n_steps=0), after(resumed, 5, n_steps=0, save_every=1),
     after(resumed, 0, n_steps=9, save_every=2), after(resumed, 5, t_end=0.57, save_every=2),
