@@ -32,6 +32,14 @@ def held(t, q, w, s, p):
     return (-p[0] * w[0], -s[0], 0.0), (s[0] + 0.1 * w[1],)
 
 
+def lagging(t, q, w, p):
+    return q[0] * q[1] - 0.02 * w[0]
+
+
+def jets(t, q, w, side, p):
+    return -p[0] * side, p[1] * q[2], 0.1
+
+
 def winding(t, p):
     """Called: a loop whose end is not known."""
     n = 0
@@ -67,7 +75,14 @@ SAMPLED = fa.Scene(inertia=BODY, torque=fa.torques.SampledControl(held, 0.25, (0
 BROKEN = fa.Scene(
     inertia=BODY, breakpoints=(0.503, 1.5), torque=fa.torques.Custom(pulse, OWN, uses_rate=False)
 )
-EVENTS = [fa.event(lambda t, q, w, p: w[0]), fa.event(lambda t, q, w, p: w[1], terminal=True)]
+JETS = fa.torques.Custom(jets, 3.0 * OWN, reads="side")
+SWITCHED = fa.Scene(
+    inertia=BODY, torque=fa.torques.Sum({"side": fa.torques.Switch(lagging), "jets": JETS})
+)
+EVENTS = [
+    fa.event(lambda t, q, w, p: w[0], every=True),
+    fa.event(lambda t, q, w, p: w[1], terminal=True),
+]
 WAYS = {
     "rate": (RATE, {"method": "magnus4"}),
     "shared rate": (SHARED, {"method": "magnus4", "representation": "dcm"}),
@@ -89,6 +104,8 @@ WAYS = {
     "clocks": (several_clocks(), {"method": "rk4", "s0": 0.1 * RNG.normal(size=(N, 12))}),
     "breakpoints": (BROKEN, {"method": "rk4"}),
     "breakpoints, splitting": (BROKEN, {"method": "strang2"}),
+    "switches": (SWITCHED, {"method": "rk4"}),
+    "switches, single": (SWITCHED, {"method": "rk4", "dtype": "float32"}),
     "events": (TORQUED, {"method": "rk4", "events": EVENTS}),
 }
 

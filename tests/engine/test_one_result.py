@@ -14,6 +14,7 @@ from each import each
 from ways import DT, OWN, Q0, RATE, RNG, STEPS, TORQUED, W0, WAYS, N, given
 
 import fastatt as fa
+from fastatt.engine import run as engine_run
 from fastatt.propagation import plan as plans
 
 STEPPED = [way for way, (_, options) in WAYS.items() if options["method"] != "exact"]
@@ -30,6 +31,10 @@ def of(found, bodies=slice(None), saves=slice(None)):
     histories = [found.state, of_one_sign(found), found.norm_error, *found.carried.values()]
     each = [x for x in (found.status, found.first_crossings) if x is not None]
     numbers = [x[saves][:, bodies] for x in histories] + [x[bodies] for x in each]
+    for name in found.crossing_numbers:  # of which a resumed run has those from its start on
+        x = found.crossings(name)
+        shown = np.isin(x.body, np.arange(len(found.status))[bodies]) & (x.t > found.t[saves][0])
+        numbers += [x.t[shown], x.q[shown], x.w[shown]]
     return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
 
 
@@ -140,7 +145,9 @@ def test_a_resumed_run_is_the_whole_one(way, tmp_path):
 
 @ways
 def test_parts_are_the_whole(way, monkeypatch):
+    """Of bodies, and of steps between looks at events."""
     whole = of(run(way, save_every=32))
+    monkeypatch.setattr(engine_run, "_EVENTS", 64)
     monkeypatch.setattr(plans, "PART", 64)
     assert of(run(way, save_every=32)) == whole
 

@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
-from fastatt.engine import run as runs
 
 MOMENTS, LAG = np.array([2.0, 1.5, 1.0]), -0.02
 RNG = np.random.default_rng(3)
@@ -116,50 +115,6 @@ def test_methods_keep_their_order(true, method, n, order, bound):
             for t, q, w in zip(found.t, found.q, found.w, strict=True)
         ]
         assert np.abs(values).max() < 1e-13
-
-
-WAYS = {
-    "rk8": {"method": "rk8"},
-    "float32": {"method": "rk4", "dtype": np.float32},
-    "dcm": {"method": "rk8", "representation": "dcm", "normalise": 7},
-    "compensated": {"method": "rk4", "compensated": True},
-}
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_results_have_the_same_bits(monkeypatch, tmp_path, way):
-    """Whatever threads, pieces, other bodies, saves within steps, and breaks of the run."""
-    options = {**WAYS[way], "dt": 0.01}
-    saved = {**options, "n_steps": 1200, "save_every": 100}
-    run = fa.propagate(thrusters(), Q0, W0, **saved)
-
-    def same(other, bodies=slice(None), saves=slice(None)):
-        for name in ("state", "w", "s"):
-            mine = getattr(run, name)[saves, bodies]
-            np.testing.assert_array_equal(mine, getattr(other, name), strict=True)
-        np.testing.assert_array_equal(run.status[bodies], other.status)
-        mine, others = run.crossings("x"), other.crossings("x")
-        if saves == slice(None):
-            of = np.isin(mine.body, np.arange(N)[bodies])
-            np.testing.assert_array_equal(mine.t[of], others.t)
-            np.testing.assert_array_equal(mine.q[of], others.q)
-
-    same(fa.propagate(thrusters(), Q0, W0, n_threads=2, **saved))
-    monkeypatch.setattr(runs, "_EVENTS", 256)
-    same(fa.propagate(thrusters(), Q0, W0, **saved))
-    some = [3, 4, 9]
-    same(fa.propagate(thrusters(some), Q0[some], W0[some], **saved), some)
-    within = fa.propagate(thrusters(), Q0, W0, save_at=np.linspace(0.0, 12.0, 31), **options)
-    np.testing.assert_array_equal(within.state[-1], run.state[-1])
-    np.testing.assert_array_equal(within.crossings("y").t, run.crossings("y").t)
-    half = fa.propagate(
-        thrusters(), Q0, W0, checkpoint=tmp_path / "half", **{**saved, "n_steps": 700}
-    )
-    same(fa.resume(thrusters(), half, n_steps=500, save_every=100), saves=slice(7, None))
-    rest = fa.resume(thrusters(), tmp_path / "half", n_steps=500, save_every=100)
-    same(rest, saves=slice(7, None))
-    both = np.concatenate([half.crossings("x").t, rest.crossings("x").t])
-    np.testing.assert_array_equal(np.sort(both), np.sort(run.crossings("x").t))
 
 
 def test_saves_within_divided_steps():
