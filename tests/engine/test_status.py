@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
+from each import each
 from extremes.cases import OF_BODIES
 from numba import njit
 from numpy.testing import assert_array_equal
@@ -89,30 +90,28 @@ def bursts(method, first, last, n_steps, *, period=1e9, **options):
     return fa.propagate(scene, Q0[:1], dt=1.0, n_steps=n_steps, method=method, **options)
 
 
-@pytest.mark.parametrize("method", ["lie_euler", "rk4", "magnus4", "cg3"])
+@each("method", ["lie_euler", "rk4", "magnus4"])
 def test_bursts_of_seven_steps_do_not_pass_unseen(method):
     for first in (0, 5, 61, 92, 250, 256, 293):
         run = bursts(method, first, first + 7, 300)
         assert run.status[0] & fa.Status.STEP_TOO_LARGE, first
 
 
-@pytest.mark.parametrize("period", [2, 7, 8, 10, 16, 32, 64])
+@each("period", [2, 7, 8, 10, 16, 32, 64])
 def test_a_pulse_of_one_step_in_many_is_seen_before_long(period):
     for phase in range(0, period, max(1, period // 8)):
         run = bursts("magnus4", phase, phase + 1, 4000, period=period)
         assert run.status[0] & fa.Status.STEP_TOO_LARGE, phase
 
 
-@pytest.mark.parametrize("method", ["magnus4", "magnus6"])
-def test_the_last_step_before_a_save_is_looked_at(method):
+def test_the_last_step_before_a_save_is_looked_at():
     """And all steps of runs of up to six between saves."""
+    often = {"save_every": 11}
     for first, n_steps, options in (
-        (10, 11, {}),
-        (10, 100, {"save_every": 11}),
-        (43, 100, {"save_every": 11}),
+        (10, 11, {}), (10, 100, often), (43, 100, often),
         *((k, 12, {"save_every": 6}) for k in range(12)),
-    ):
-        assert bursts(method, first, first + 1, n_steps, **options).status[0]
+    ):  # fmt: skip
+        assert bursts("magnus4", first, first + 1, n_steps, **options).status[0]
 
 
 def test_shorter_steps_are_looked_at():
@@ -132,12 +131,14 @@ def slew(t, p):
     return 0.6 * speed, 0.0, -0.8 * speed
 
 
-@pytest.mark.parametrize(
-    ("representation", "compensated", "single"),
-    [("quat", False, 1e-3), ("quat", True, 1e-3), ("dcm", False, 1e-4)],
-)
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_what_a_short_exponential_spoilt_is_run_again(representation, compensated, dtype, single):
+@each(
+    ("representation", "compensated", "dtype", "allowed"),
+    [
+        ("quat", False, np.float64, 2e-12), ("dcm", False, np.float64, 2e-12),
+        ("quat", False, np.float32, 1e-3), ("quat", True, np.float32, 1e-3),
+    ],
+)  # fmt: skip
+def test_what_a_short_exponential_spoilt_is_run_again(representation, compensated, dtype, allowed):
     """One step of up to 1000 rad, at which nobody looks, in a hundred of 0.1.
 
     A float32 quaternion is spoilt by 1e-3 before its length says so; 1000 rad have an ulp of 6e-5.
@@ -151,7 +152,7 @@ def test_what_a_short_exponential_spoilt_is_run_again(representation, compensate
     half = 0.5 * (angles.astype(dtype).astype(np.float64) + 0.1 * 99)
     expected = [np.cos(half), 0.6 * np.sin(half), 0.0 * half, -0.8 * np.sin(half)]
     off = fa.angle_between(run.q[-1].astype(np.float64), np.stack(expected, axis=-1))
-    assert off.max() < (single if dtype is np.float32 else 2e-12)
+    assert off.max() < allowed
 
 
 def shrunk(turn):
@@ -159,8 +160,10 @@ def shrunk(turn):
     return 1.0 - abs(1.0 + 1j * turn - turn**2 / 2.0 - 1j * turn**3 / 6.0 + turn**4 / 24.0)
 
 
-@pytest.mark.parametrize(("dtype", "bound"), [("float64", 1e-3), ("float32", 1e-2)])
-@pytest.mark.parametrize("normalise", ["output", "never", 1])
+@each(
+    ("dtype", "bound", "normalise"),
+    [("float64", 1e-3, "output"), ("float64", 1e-3, 1), ("float32", 1e-2, "never")],
+)
 def test_the_norm_is_judged_before_it_is_mended(normalise, dtype, bound):
     """Steps whose loss is a tenth below the bound and above it; a mend leaves 3/2 of its square."""
     steps = 4 if normalise == 1 else 1
@@ -491,27 +494,30 @@ def test_slow_rates_under_a_torque_are_right_or_flagged(method):
     assert not rest.status.any()
 
 
-FLAGGED = {
-    "NON_FINITE": ({"torque": lambda t, q, w, p: (np.sqrt(1.0 - t), 0 * t, 0 * t)}, 0.1, 30),
-    "INVARIANT": ({}, 3.0, 3000),
-}
+def off_the_real_line(t, q, w, p):
+    return np.sqrt(1.0 - t), 0.0 * t, 0.0 * t
 
 
-@pytest.mark.parametrize("name", FLAGGED)
-def test_a_run_with_flags_warns_once(name):
-    options, dt, n_steps = FLAGGED[name]
-    scene = fa.Scene(inertia=(3.0, 2.0, 1.0), **options)
-    w0 = [[0.1, 0.2, 0.3]] * 3
-    with pytest.warns(RuntimeWarning, match=rf"^status: found {name} \(3\).*3 of 3 bodies") as told:
-        run = fa.propagate(scene, [1, 0, 0, 0], w0, dt=dt, n_steps=n_steps, method="rk4")
-    assert run.status.all()
-    assert len(told) == 1
-    assert told[0].filename == __file__
-
-
-def test_a_large_step_is_not_warned_of_twice():
-    scene = fa.Scene(inertia=(3.0, 2.0, 1.0))
+@each(
+    ("text", "category", "torque", "speed", "dt", "n_steps"),
+    [
+        (
+            r"status: found NON_FINITE \(3\).*3 of 3 bodies",
+            RuntimeWarning,
+            off_the_real_line,
+            1.0,
+            0.1,
+            30,
+        ),
+        (r"status: found INVARIANT \(3\).*3 of 3 bodies", RuntimeWarning, None, 1.0, 3.0, 3000),
+        ("dt: a step of body 0 is", fa.StepWarning, None, 20.0, 1.0, 99),
+    ],
+)
+def test_a_run_with_flags_warns_once(text, category, torque, speed, dt, n_steps):
+    scene, w0 = fa.Scene(inertia=(3.0, 2.0, 1.0), torque=torque), speed * np.array([0.1, 0.2, 0.3])
     with pytest.warns() as told:
-        run = fa.propagate(scene, [1, 0, 0, 0], [5.0, 2, 3], dt=1.0, n_steps=99, method="rk4")
-    assert run.status & fa.Status.STEP_TOO_LARGE
-    assert [warning.category for warning in told] == [fa.StepWarning]
+        run = fa.propagate(scene, Q0[:3], w0, dt=dt, n_steps=n_steps, method="rk4")
+    assert run.status.all()
+    (warning,) = told
+    assert (warning.category, warning.filename) == (category, __file__)
+    assert re.match(text, str(warning.message))
