@@ -494,7 +494,7 @@ def test_slow_rates_under_a_torque_are_right_or_flagged(method):
     assert not rest.status.any()
 
 
-def off_the_real_line(t, q, w, p):
+def ending(t, q, w, p):
     return np.sqrt(1.0 - t), 0.0 * t, 0.0 * t
 
 
@@ -504,7 +504,7 @@ def off_the_real_line(t, q, w, p):
         (
             r"status: found NON_FINITE \(3\).*3 of 3 bodies",
             RuntimeWarning,
-            off_the_real_line,
+            ending,
             1.0,
             0.1,
             30,
