@@ -125,9 +125,9 @@ def any_real(name: str, value: Any, accepted: str) -> float:
 def precision(dtype: Any, *arrays: Any) -> np.dtype[Any]:
     """float64 or float32: ``dtype`` if given, else float32 if all arrays have it."""
     if dtype is None:
-        tables = (a for a in arrays if hasattr(a, "__array__") and np.ndim(a))
-        dtypes = {np.asarray(a).dtype.newbyteorder("=") for a in tables}
-        return _SINGLE if dtypes == {_SINGLE} else _DOUBLE
+        tables = [np.asarray(a).dtype for a in arrays if hasattr(a, "__array__") and np.ndim(a)]
+        is_single = tables and all(x.kind == "f" and x.itemsize == 4 for x in tables)
+        return _SINGLE if is_single else _DOUBLE
     with suppress(TypeError, ValueError):
         precise: np.dtype[Any] = np.dtype(dtype)
         if precise in _PRECISIONS:

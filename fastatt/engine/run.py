@@ -48,12 +48,12 @@ class Results(NamedTuple):
     def empty(cls, shape: tuple[int, int], dtype: Any, events: int, saves: int) -> Results:
         """Arrays for (bodies, values), not initialised but for the times of events."""
         bodies, values = shape
-        return cls(
+        saved, event_times = (
             np.empty((saves, bodies, values + 1), dtype),
-            np.empty(bodies, FLAGS),
-            np.full((bodies, events), np.nan),
-            [],
+            np.empty((bodies, events)),
         )
+        event_times.fill(np.nan)
+        return cls(saved, np.empty(bodies, FLAGS), event_times, [])
 
     def of_bodies(self, rows: Any) -> Results:
         """Those of some bodies: views for a slice, copies for an array of indices."""

@@ -65,26 +65,22 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
     """
     q0, w0, v0, r0, s0 = values
     columns = [k for k, clock in enumerate(scene.clocks) if clock == AT_CROSSINGS]
-    if isinstance(s0, Mapping) or (s0 is None and 0 < scene.states == len(columns)):
+    if 0 < scene.states == len(columns) if s0 is None else isinstance(s0, Mapping):
         s0 = _states(scene, s0 or {})
     start = checks.attitudes("q0", q0)
-    n, carried = scene.states or "n", {}
-    placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
-    for name, value, size, wanted, needed, taken in (
-        ("w0", w0, 3, scene.kind != "rate", True, "with inertia needs (3,) or (N, 3), rad/s"),
-        ("v0", v0, 3, scene.moves, True, "with mass needs (3,) or (N, 3), m/s"),
-        ("r0", r0, 3, scene.moves, scene.needs_position, f"{placed} (3,) or (N, 3), m"),
-        ("s0", s0, n, scene.states > 0, True, f"with states needs ({n},) or (N, {n})"),
+    rotates, moves, n, carried = scene.kind != "rate", scene.moves, scene.states, {}
+    for name, value, size, wanted, needed in (
+        ("w0", w0, 3, rotates, rotates),
+        ("v0", v0, 3, moves, moves),
+        ("r0", r0, 3, moves, scene.needs_position),
+        ("s0", s0, n, n > 0, n > 0),
     ):
-        if value is None:
-            if wanted and needed:
-                raise ValueError(f"{name}: is missing; a scene {taken}")
-        elif wanted:
+        if value is not None and wanted:
             carried[name] = checks.array(name, value, f"({size},) or (N, {size})")
-        else:
-            raise ValueError(f"{name}: found, but this scene has none; a scene {taken}")
+        elif value is not None or needed:
+            raise _refused(scene, name, value)
     rows = {name: len(x) for name, x in {**carried, "q0": start}.items() if x.ndim == 2}
-    if len(set(rows.values()) - {1}) > 1:
+    if len(rows) > 1 and len(set(rows.values()) - {1}) > 1:
         told = ", ".join(f"{name} {n}" for name, n in rows.items())
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
     if "s0" in carried:
@@ -92,6 +88,20 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
         checks.refuse("s0 of a Switch", side, ~np.isin(side, (-1.0, 0.0, 1.0)), "1, -1 or 0")
         _warn_of_speeds(scene, carried["s0"], carried.get("w0"))
     return start, carried
+
+
+def _refused(scene: Scene, name: str, value: Any) -> ValueError:
+    """The error of initial values that are missing, or that the scene has not."""
+    n = scene.states or "n"
+    placed = "whose torque or force reads it needs" if scene.needs_position else "with mass takes"
+    takes = {
+        "w0": "with inertia needs (3,) or (N, 3), rad/s",
+        "v0": "with mass needs (3,) or (N, 3), m/s",
+        "r0": f"{placed} (3,) or (N, 3), m",
+        "s0": f"with states needs ({n},) or (N, {n})",
+    }
+    what = "is missing" if value is None else "found, but this scene has none"
+    return ValueError(f"{name}: {what}; a scene {takes[name]}")
 
 
 def _warn_of_speeds(scene: Scene, s0: NDArray[Any], w0: Any) -> None:

@@ -87,7 +87,7 @@ class StepLimits:
         known.
         """
         least, most = self.usual
-        if angles is not None and least <= angles.max() <= most and not status.any():
+        if angles is not None and not np.count_nonzero(status) and least <= angles.max() <= most:
             return False
         first = np.zeros(1)
         if self.scene.kind != "rate":
@@ -163,9 +163,10 @@ def _step_of(h: Any, measured: NDArray[Any]) -> float:
 
 def warn_of_status(status: NDArray[FLAGS], *, is_warned: bool) -> None:
     """Warn, once, of the bodies with a flag, unless the steps ``is_warned`` of are the reason."""
-    flagged = np.flatnonzero(status)
-    of_steps = Status.STEP_TOO_LARGE | Status.NON_FINITE
-    if flagged.size and not (is_warned and (status & of_steps).any()):
+    if not np.count_nonzero(status):
+        return
+    flagged, of_steps = np.flatnonzero(status), Status.STEP_TOO_LARGE | Status.NON_FINITE
+    if not (is_warned and (status & of_steps).any()):
         flags = ", ".join(f"{name} ({count})" for name, count in count_flags(status).items())
         rounding.warn(
             f"status: found {flags}, {flagged.size} of {status.size} bodies, the first of them "

@@ -221,8 +221,9 @@ class Output:
     def take(self, run: Run, piece: Piece) -> None:
         """Hand out the saves of a piece, or count its steps."""
         if not self.is_ring:
-            before, after = (round(self._schedule.n_steps * share) for share in piece.share)
-            self.done(run.results.status.size * (after - before))
+            before, after = piece.share
+            steps = round(self._schedule.n_steps * after) - round(self._schedule.n_steps * before)
+            self.done(run.results.status.size * steps)
         elif self._left and piece.saved >= self._left[-1][1]:
             self.hand_out(*self._left.pop())
 

@@ -294,7 +294,8 @@ class Plan:
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
             warned = self.limits.warn(start, np.sqrt(squares), results.status)
-        warn_of_lost(lost, len(self.choice.events), self._switches)
+        if self._watched:
+            warn_of_lost(lost, len(self.choice.events), self._switches)
         return run, warned
 
     def _goes_on_from(self, resumed: End | None) -> Mapping[str, Any] | None:
@@ -350,7 +351,7 @@ class Plan:
         """The names of the scene's switches."""
         return tuple(x.term.name for x in self.scene.switches)
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of values that are saved for each body."""
         return self.attitude.stored + sum(self.carried.values())
@@ -366,31 +367,39 @@ class Plan:
         q_before: NDArray[Any] | None = None,
     ) -> Trajectory:  # fmt: skip
         """The trajectory of the given saves."""
-        saves, schedule, events = results.saves, self.schedule, self.choice.events
+        saves, stored = results.saves, self.attitude.stored
         return Trajectory(
             t=t,
-            state=saves[:, :, : self.attitude.stored],
+            state=saves[:, :, :stored],
             norm_error=saves[:, :, -1],
             status=results.status,
-            dt=schedule.dt if schedule.is_per_body else schedule.h,
             one_body=one_body,
-            packed=self.packed,
-            attitude=self.attitude,
-            record=self.choice.method,
             carried={name: saves[:, :, columns] for name, columns in self._columns.items()},
             end=end,
             q_before=q_before,
-            first_crossings=results.event_times if events else None,
-            terminal=tuple(x.terminal for x in events),
-            crossing_numbers={
+            first_crossings=results.event_times if self.choice.events else None,
+            located=tuple(results.crossings),
+            **self._described,
+        )
+
+    @cached_property
+    def _described(self) -> dict[str, Any]:
+        """What is the same in all trajectories of the plan."""
+        schedule, events = self.schedule, self.choice.events
+        return {
+            "dt": schedule.dt if schedule.is_per_body else schedule.h,
+            "packed": self.packed,
+            "attitude": self.attitude,
+            "record": self.choice.method,
+            "terminal": tuple(x.terminal for x in events),
+            "crossing_numbers": {
                 **{i: i for i, x in enumerate(events) if x.every},
                 **{name: len(events) + k for k, name in enumerate(self._switches)},
             },
-            located=tuple(results.crossings),
-            columns=self._columns,
-            divisions=divisions_of(self.scene),
-            parts=self.scene.parts,
-        )
+            "columns": self._columns,
+            "divisions": divisions_of(self.scene),
+            "parts": self.scene.parts,
+        }
 
     def _end(self, start: Initial, t0: float, run: Run, done: int) -> End:
         """The end of a run after ``done`` steps, with a copy of its initial values."""
