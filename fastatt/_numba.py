@@ -21,15 +21,15 @@ from llvmlite import binding, ir
 from numba import config, njit, types
 
 #: the newest releases that were seen, and what is found
-_SEEN = {"Numba": (0, 68), "llvmlite": (0, 50), "Python": (3, 13)}
+SEEN = {"Numba": (0, 68), "llvmlite": (0, 50), "Python": (3, 13)}
 FOUND = {
     "Numba": numba.__version__, "llvmlite": llvmlite.__version__, "Python": sys.version.split()[0],
 }  # fmt: skip
 #: what is newer than that; empty if nothing is
 NEW = ", ".join(
-    f"{name} {found} (seen: up to {'.'.join(map(str, _SEEN[name]))})"
+    f"{name} {found} (seen: up to {'.'.join(map(str, SEEN[name]))})"
     for name, found in FOUND.items()
-    if tuple(map(int, re.findall(r"\d+", found)[:2])) > _SEEN[name]
+    if tuple(map(int, re.findall(r"\d+", found)[:2])) > SEEN[name]
 )
 #: the value of a type without values, such as None
 NOTHING = ir.Constant(ir.IntType(8).as_pointer(), None)

@@ -12,7 +12,7 @@ import functools
 import inspect
 import struct
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from fastatt.codegen.rows import addresses
 from fastatt.tracing.called import words_of
 from fastatt.tracing.graph import Recorded, flattened
 from fastatt.tracing.trace import traceable
-from fastatt.tracing.traced import Traced, Tuple, flattened_forms, trace
+from fastatt.tracing.traced import Traced, Tuple, assembled, flattened_forms, trace
 
 
 class ScalarFunction:
@@ -122,26 +122,19 @@ class ScalarFunction:
         # struct packs numbers in a third of the time of ctypes
         pack = struct.Struct(f"{n}d").pack_into
         unpack = struct.Struct(f"{count}d").unpack_from
+        classes: dict[str, Any] = {"double": float, "single": np.float32, "truth": bool}
 
         def call(numbers: Sequence[float]) -> Any:
             memory = room()
             pack(memory, 0, *numbers)
             run(0, memory, whole, 1)
-            return _assembled(traced.form, iter(unpack(memory, 8 * n)))
+            results = iter(unpack(memory, 8 * n))
+            return assembled(traced.form, lambda form: classes[form](next(results)))
 
         return call
 
 
 scalar_function = ScalarFunction
-
-
-def _assembled(form: Any, numbers: Iterator[float]) -> Any:
-    """Numbers, brought into a form for Python."""
-    if isinstance(form, Tuple):
-        parts = [_assembled(part, numbers) for part in form.parts]
-        return tuple(parts) if form.cls is tuple else form.cls(*parts)
-    x = next(numbers)
-    return bool(x) if form == "truth" else np.float32(x) if form == "single" else x
 
 
 # forms

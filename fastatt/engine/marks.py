@@ -96,7 +96,7 @@ def values(scope: Scope, t: Any, x: Vector) -> list[Any]:
     of_rotation, results = p[: structure.rotation.n_params], []
     for event in scope.job.events:
         # the scene's ``params`` are the last parameters of the rotation
-        params = of_rotation[len(of_rotation) - event.function.n_params :]
+        params = of_rotation[len(of_rotation) - event.function.signature.n_params :]
         # whether it takes velocity and position, not only time, attitude and rate
         is_placed = len(event.function.signature.before) - len(event.reads) > 4
         placed = (moved[:3], moved[3:]) if is_placed else ()

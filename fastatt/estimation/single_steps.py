@@ -24,8 +24,7 @@ from fastatt.methods import METHODS, Method
 from fastatt.propagation.choice_of_method import attitude_of, method_of
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.tracing.formulas import Vector, as_like
-from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import number
+from fastatt.tracing.graph import larger, number
 
 _HALF_TURN = math.pi * math.pi
 _ONE_STAGE = ((1.0, 1.0, 0.0),)

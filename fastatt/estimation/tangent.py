@@ -20,7 +20,7 @@ from fastatt.scene.equations import Body, PrescribedRate, RigidBody, Turning
 from fastatt.scene.law import Law
 from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.formulas import Vector, dcm, minus, quat, rigid, scale
-from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import larger
 from fastatt.tracing.trace import traceable
 
 Formula = Callable[..., Any]

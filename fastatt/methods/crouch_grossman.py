@@ -11,7 +11,7 @@ from typing import Any
 from fastatt.methods.lie_group import lie_method
 from fastatt.methods.method import Method
 from fastatt.tracing.formulas import Vector, dot, scale
-from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import larger
 
 
 def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:

@@ -15,7 +15,7 @@ from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.lie_group import asking, gauss_polynomial
 from fastatt.methods.method import Method, Steps
 from fastatt.tracing.formulas import Vector, dot, plus, quat, scale
-from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import larger
 
 _NODES = 6
 #: terms after the first; with an odd number the next term cancels too

@@ -18,8 +18,7 @@ from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import BODIES, BODY, Method, Steps, named
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale, weighted
-from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import Graph, Number
+from fastatt.tracing.graph import Graph, Number, larger
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.source import function
 from fastatt.tracing.trace import traceable

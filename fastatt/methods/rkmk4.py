@@ -6,7 +6,7 @@ from typing import Any
 
 from fastatt.methods.lie_group import lie_method
 from fastatt.tracing.formulas import Vector, axpy, dot, plus, scale, so3
-from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import larger
 
 
 def exponents(w: Any, t: Any, h: Any) -> Any:

@@ -30,7 +30,7 @@ from fastatt.attitudes.attitude import FAMILIES
 from fastatt.methods.method import BODIES, TORQUED, Method, Steps
 from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.formulas import Vector, dot, scale, trig, vec3
-from fastatt.tracing.functions import larger
+from fastatt.tracing.graph import larger
 
 
 def first(motion: Any, h: Any, a: Vector, m: Vector) -> Any:

@@ -14,8 +14,7 @@ from functools import reduce
 from typing import Any
 
 from fastatt.kernels import quat
-from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import both, choose
+from fastatt.tracing.graph import both, choose, larger
 from fastatt.tracing.trace import traceable
 
 #: intervals between two renormalisations, a multiple of every window's span

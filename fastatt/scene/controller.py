@@ -333,7 +333,7 @@ class _Held(Torque):
         body = pose.along_body
         read = (*map(body.shown, self.reads), *((memory,) if memory else ()))
         numbers = self.control.call(t, body.quaternion, body.w, *read, self.params)
-        numbers = numbers if self.control.results > 1 else (numbers,)
+        numbers = numbers if self.control.signature.results > 1 else (numbers,)
         return tuple(as_like(x, pose.moments[0]) for x in numbers)
 
 

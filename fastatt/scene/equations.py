@@ -35,8 +35,7 @@ from fastatt.tracing.formulas import (
     scale,
     vec3,
 )
-from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import Double, choose
+from fastatt.tracing.graph import Double, choose, larger
 
 
 class PrescribedRate(NamedTuple):

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt._cached import cached_property
-from fastatt.tracing import functions, graph
+from fastatt.tracing import graph
 from fastatt.tracing.graph import Double, Recorded
 from fastatt.tracing.replacements import unknown_in
 
@@ -355,7 +355,7 @@ def recorded(name: Any, layout: TableLayout, t: Any, row: Any = None) -> tuple[A
         return Double(x) if isinstance(x, Recorded) else graph.number(of, x, "double")
 
     def take(place: Any, count: int) -> Any:
-        return functions.row(name, double(place), count)
+        return graph.row(name, double(place), count)
 
     ways = _Ways(take, lambda x: graph.apply("floor", x), graph.choose)
     return _look_up(layout, double(t), double(0.0 if row is None else row), ways)

@@ -69,23 +69,23 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
     return "function", marshal.dumps(code, 2), tuple(values), tuple(cells), defaults
 
 
-def _made(value: Any) -> Any:
+def _with_compiled(value: Any) -> Any:
     """What ``portable`` gives, with compiled functions."""
     match value:
         case ("tuple", *values):
-            return tuple(map(_made, values))
+            return tuple(map(_with_compiled, values))
         case ("array", shape, dtype, data):
-            found = np.frombuffer(data, dtype).reshape(shape)
-            return found if shape else found[()]
+            return np.frombuffer(data, dtype).reshape(shape)[()]
         case ("module", name, *attribute):
             module: Any = _mathematics() if name == "math" else import_module(name)
             return getattr(module, attribute[0]) if attribute else module
         case ("function", code, values, cells, defaults):
             read = marshal.loads(code)
             scope = {"int": _whole(int), "round": _whole(round), "__builtins__": __builtins__}
-            scope |= {k: _made(x) for k, x in values}
-            inner = tuple(python.CellType(_made(x)) for x in cells)
-            return checked(python.FunctionType(read, scope, read.co_name, _made(defaults), inner))
+            scope |= {k: _with_compiled(x) for k, x in values}
+            inner = tuple(python.CellType(_with_compiled(x)) for x in cells)
+            values = _with_compiled(defaults)
+            return checked(python.FunctionType(read, scope, read.co_name, values, inner))
     return value
 
 
@@ -103,21 +103,21 @@ def _mathematics() -> Any:
     """``math`` with the library's sines, and whole numbers of finite ones only."""
     from fastatt.kernels import trig
 
-    made, sincos, atan2 = python.ModuleType("math"), trig.sincos, trig.atan2
-    made.__dict__.update({k: x for k, x in vars(math).items() if not k.startswith("__")})
-    made.__dict__.update({k: _whole(getattr(math, k)) for k in ("floor", "ceil", "trunc")})
-    made.__dict__.update(
+    module, sincos, atan2 = python.ModuleType("math"), trig.sincos, trig.atan2
+    module.__dict__.update({k: x for k, x in vars(math).items() if not k.startswith("__")})
+    module.__dict__.update({k: _whole(getattr(math, k)) for k in ("floor", "ceil", "trunc")})
+    module.__dict__.update(
         sin=checked(lambda x: sincos(float(x))[0] if abs(x) < 2.0**50 else math.nan),
         cos=checked(lambda x: sincos(float(x))[1] if abs(x) < 2.0**50 else math.nan),
         atan2=checked(lambda y, x: atan2(float(y), float(x))),
     )
-    return made
+    return module
 
 
 def compiled(code: Any, signature: Signature) -> Any:
     """A function compiled by Numba, which takes the addresses of its arguments and results."""
     pointer = types.CPointer(types.float64)
-    scope = {"inner": _made(code), "nan": math.nan}
+    scope = {"inner": _with_compiled(code), "nan": math.nan}
     # one number may be in a tuple
     for is_number in (True, False) if signature.results == 1 else (False,):
         exec(_wrapper(signature, is_number=is_number), scope)
@@ -125,8 +125,8 @@ def compiled(code: Any, signature: Signature) -> Any:
             return cfunc(types.void(pointer, pointer))(scope["entry"])
         except Exception as error:  # noqa: BLE001  # Numba's traceback shows Numba's code
             place = getattr(error, "loc", None)
-            at = "" if place is None else f" ({place.filename}:{place.line})"
-            words = f"{words_of(error)}{at}"
+            where = "" if place is None else f" ({place.filename}:{place.line})"
+            words = f"{words_of(error)}{where}"
     raise TraceError(words)
 
 
@@ -134,22 +134,23 @@ def _wrapper(signature: Signature, *, is_number: bool) -> str:
     """Text of a function that calls ``inner`` with numbers from memory and stores its results."""
     args = [
         f"({''.join(f'{x}, ' for x in part)})" if isinstance(part, tuple) else part
-        for part in signature.nested([f"given[{k}]" for k in range(signature.size)])
+        for part in signature.nested([f"numbers[{k}]" for k in range(signature.size)])
     ]
     n, states = signature.results, signature.states
     parts = [("result[0]", n - states), ("result[1]", states)] if states else [("result", n)]
-    lengths = [] if is_number else [f"len({name}) != {size}" for name, size in parts]
-    items = [f"{name}[{k}]" for name, size in parts for k in range(size)]
-    items = ["result"] if is_number else items
+    lengths, items = [], ["result"]
+    if not is_number:
+        lengths = [f"len({name}) != {size}" for name, size in parts]
+        items = [f"{name}[{k}]" for name, size in parts for k in range(size)]
     lines = [
-        "def entry(given, made):",
+        "def entry(numbers, results):",
         "    try:",
         f"        result = inner({', '.join(args)})",
         *(f"        if {test}: raise ValueError" for test in lengths),
-        *(f"        made[{k}] = {item}" for k, item in enumerate(items)),
+        *(f"        results[{k}] = {item}" for k, item in enumerate(items)),
         # no error may leave a function in the loop: NaN sets the body's status
         "    except Exception:",
-        *(f"        made[{k}] = nan" for k in range(n)),
+        *(f"        results[{k}] = nan" for k in range(n)),
     ]
     return "\n".join(lines)
 

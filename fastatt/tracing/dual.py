@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fastatt.kernels import trig
-from fastatt.tracing import functions, graph
+from fastatt.tracing import graph
 from fastatt.tracing.graph import Composed, Condition, Double, Number
 from fastatt.tracing.nodes import COMPARISONS, TraceError
 from fastatt.tracing.operations import OPERATIONS, applied, as_float
@@ -98,7 +98,7 @@ class Dual(Composed):
     def larger(cls, a: Any, b: Any) -> Any:
         """The larger of two."""
         x, y = value(a), value(b)
-        return _selected(functions.larger(x, y), x > y, a, b)
+        return _selected(graph.larger(x, y), x > y, a, b)
 
     @classmethod
     def opaque(cls, function: int, results: int, args: Sequence[Any]) -> tuple[Any, ...]:
@@ -114,18 +114,18 @@ class Dual(Composed):
         for k, x in enumerate(args):
             if not isinstance(x, Dual):
                 continue
-            step = _STEP * functions.larger(abs(Double(x.value)), 1.0)
+            step = _STEP * graph.larger(abs(Double(x.value)), 1.0)
             above, below = Double(x.value) + step, Double(x.value) - step
             ends = [
-                functions.opaque(function, results, [*values[:k], end, *values[k + 1 :]], like)
+                graph.opaque(function, results, [*values[:k], end, *values[k + 1 :]], like)
                 for end in (above, below)
             ]
             # the difference after rounding
             inverse = 1.0 / (above - below)
             for row, high, low in zip(slopes, *ends, strict=True):
                 row.append((x, (high - low) * inverse))
-        found = functions.opaque(function, results, values, like)
-        return tuple(_through(x, *row) for x, row in zip(found, slopes, strict=True))
+        numbers = graph.opaque(function, results, values, like)
+        return tuple(_through(x, *row) for x, row in zip(numbers, slopes, strict=True))
 
     @classmethod
     def called(cls, formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
@@ -160,8 +160,8 @@ def _chained(formula: Callable[..., Any], x: Dual) -> Any:
 def mapped(function: Callable[[Any], Any], values: Any) -> Any:
     """A function of each number of nested tuples."""
     if isinstance(values, (tuple, list)):
-        made = [mapped(function, part) for part in values]
-        return type(values)(*made) if hasattr(values, "_fields") else tuple(made)
+        parts = [mapped(function, part) for part in values]
+        return type(values)(*parts) if hasattr(values, "_fields") else tuple(parts)
     return function(values)
 
 
@@ -240,4 +240,4 @@ def derivatives(x: Any, size: int) -> tuple[Any, ...]:
         return x.slopes
     (slope,) = x.slopes
     lanes = range(size)
-    return tuple(functions.lane(slope, k) if isinstance(slope, Number) else slope for k in lanes)
+    return tuple(graph.lane(slope, k) if isinstance(slope, Number) else slope for k in lanes)

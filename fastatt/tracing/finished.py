@@ -33,50 +33,19 @@ class Flat:
         values = list(results)
         each = [precisions] * len(values) if isinstance(precisions, str) else list(precisions)
         ends = [number(graph, x, precision).at for x, precision in zip(values, each, strict=True)]
-        nodes, made = graph.nodes, dict[int, Node]()
-        live = _live(dict(enumerate(nodes)), ends)
+        nodes = dict(enumerate(graph.nodes))
+        live = _live(nodes, ends)
         uses = Counter(chain(ends, *(operands(nodes[i]) for i in live)))
         for i in live:
-            made[i] = nodes[i]
-            if nodes[i].op in ("+", "-"):
-                product = self._product(nodes, uses, i)
-                left = nodes[i].args[0]
-                k = self._negated_product(nodes, uses, left)
-                if product is None and nodes[i].op == "-" and k is not None:
-                    # −(a b) − c: with the sign at a there is one instruction
-                    a, b = nodes[k].args
-                    made[left] = Node("neg", nodes[i].precision, (a,))
-                    made[i] = Node("fms", nodes[i].precision, (left, b, nodes[i].args[1]))
-                elif product is not None:
-                    op, k, other = product
-                    a, b = nodes[k].args
-                    made[i] = Node(op, nodes[i].precision, (a, b, other))
-        self.nodes, self.results = _numbered(made, ends)
+            nodes.update(_fused(graph.nodes, uses, i))
+        self.nodes, self.results = _numbered(nodes, ends)
 
     @classmethod
-    def of(cls, made: Mapping[int, Node], ends: Sequence[int]) -> Flat:
+    def of(cls, nodes: Mapping[int, Node], ends: Sequence[int]) -> Flat:
         """The operations, in order and fused already, that the results ``ends`` need."""
-        found = cls.__new__(cls)
-        found.nodes, found.results = _numbered(made, ends)
-        return found
-
-    @staticmethod
-    def _product(nodes: list[Node], uses: dict[int, int], i: int) -> tuple[str, int, int] | None:
-        a, b = nodes[i].args
-        minus = nodes[i].op == "-"
-        if nodes[a].op == "*" and uses[a] == 1:
-            return "fms" if minus else "fma", a, b
-        if nodes[b].op == "*" and uses[b] == 1:
-            return "fnma" if minus else "fma", b, a
-        return None
-
-    @staticmethod
-    def _negated_product(nodes: list[Node], uses: dict[int, int], i: int) -> int | None:
-        """The product of which i is the negative, if neither has another use."""
-        if nodes[i].op != "neg" or uses[i] != 1:
-            return None
-        (k,) = nodes[i].args
-        return k if nodes[k].op == "*" and uses[k] == 1 else None
+        flat = cls.__new__(cls)
+        flat.nodes, flat.results = _numbered(nodes, ends)
+        return flat
 
     @property
     def operations(self) -> int:
@@ -102,6 +71,27 @@ class Flat:
         return repr(([spelled(node) for node in self.nodes], self.results))
 
 
+def _fused(nodes: Sequence[Node], uses: Mapping[int, int], i: int) -> dict[int, Node]:
+    """What a sum becomes with a product that is used only there; nothing if there is none."""
+    op, precision, args = nodes[i]
+    if op not in ("+", "-"):
+        return {}
+
+    def is_used_once(k: int, op: str = "*") -> bool:
+        return nodes[k].op == op and uses[k] == 1
+
+    (a, b), minus = args, op == "-"
+    if is_used_once(a):
+        return {i: Node("fms" if minus else "fma", precision, (*nodes[a].args, b))}
+    if is_used_once(b):
+        return {i: Node("fnma" if minus else "fma", precision, (*nodes[b].args, a))}
+    if minus and is_used_once(a, "neg") and is_used_once(nodes[a].args[0]):
+        # −(x y) − b: with the sign at x there is one instruction
+        x, y = nodes[nodes[a].args[0]].args
+        return {a: Node("neg", precision, (x,)), i: Node("fms", precision, (a, y, b))}
+    return {}
+
+
 def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple[Flat | None, Flat]:
     """A graph in two parts: calls of untraced functions with shared inputs alone, and the rest.
 
@@ -109,19 +99,17 @@ def without_shared_calls(flat: Flat, is_shared: Callable[[Node], bool]) -> tuple
     None if there are none. No compiler moves a call of an unknown function out of a loop.
     """
     shared: set[int] = set()
-    for i, node in enumerate(flat.nodes):
-        given = is_shared(node) if node.op == "in" else all(k in shared for k in operands(node))
-        if given:
-            shared.add(i)
-    made = dict(enumerate(flat.nodes))
+    nodes = dict(enumerate(flat.nodes))
     ends: list[int] = []
     for i, node in enumerate(flat.nodes):
-        if node.op == "item" and i in shared:
-            made[i] = Node("in", node.precision, ("called", len(ends)))
-            ends.append(i)
+        if is_shared(node) if node.op == "in" else shared.issuperset(operands(node)):
+            shared.add(i)
+            if node.op == "item":
+                nodes[i] = Node("in", node.precision, ("called", len(ends)))
+                ends.append(i)
     if not ends:
         return None, flat
-    return Flat.of(dict(enumerate(flat.nodes)), ends), Flat.of(made, flat.results)
+    return Flat.of(dict(enumerate(flat.nodes)), ends), Flat.of(nodes, flat.results)
 
 
 def resources_of(*flats: Flat) -> list[tuple[str, Any]]:
@@ -139,11 +127,11 @@ def _live(nodes: Mapping[int, Node], ends: Sequence[int]) -> list[int]:
     return sorted(live)
 
 
-def _numbered(made: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:
-    """(operations that results need, results), renumbered; before by the keys of ``made``."""
-    place = {i: k for k, i in enumerate(_live(made, ends))}
-    nodes = [renamed(made[i], [place[k] for k in operands(made[i])]) for i in place]
-    return nodes, [place[i] for i in ends]
+def _numbered(nodes: Mapping[int, Node], ends: Sequence[int]) -> tuple[list[Node], list[int]]:
+    """(operations that results need, results), renumbered; before by the keys of ``nodes``."""
+    place = {i: k for k, i in enumerate(_live(nodes, ends))}
+    needed = [renamed(nodes[i], [place[k] for k in operands(nodes[i])]) for i in place]
+    return needed, [place[i] for i in ends]
 
 
 class Constants:
@@ -158,7 +146,8 @@ class Constants:
         self.group, self.name, self.alike = group, name, alike
         self._graph = Graph()
         self._costs: list[int] = []
-        self._has_own: list[bool] = []
+        #: whether they depend on numbers that are not in ``alike``
+        self._differs: list[bool] = []
         self._picked: dict[int, int] = {}
 
     @property
@@ -168,41 +157,33 @@ class Constants:
 
     def without(self, flat: Flat, *, more: bool = True) -> Flat:
         """The rest of a graph; without ``more``, only values of other graphs are replaced."""
-        own = self._own(flat.nodes)
-        made = dict(enumerate(flat.nodes))
-        wanted = set(flat.results)
+        alone, nodes, wanted = self._alone(flat.nodes), dict(enumerate(flat.nodes)), {*flat.results}
         for i in reversed(range(len(flat.nodes))):
             if i not in wanted:
                 continue
-            node = made[i]
-            at = own.get(i)
-            if (
-                at is not None
-                and node.precision
-                and self._costs[at] >= _WORTH
-                and self._has_own[at]
-            ):
+            k, node = alone.get(i, -1), nodes[i]
+            if k >= 0 and node.precision and self._costs[k] >= _WORTH and self._differs[k]:
                 if more:
-                    self._picked.setdefault(at, len(self._picked))
-                if at in self._picked:
-                    node = made[i] = Node("in", node.precision, (self.name, self._picked[at]))
-            wanted.update(operands(node))
-        rest = Flat.of(made, flat.results)
+                    self._picked.setdefault(k, len(self._picked))
+                if k in self._picked:
+                    nodes[i] = Node("in", node.precision, (self.name, self._picked[k]))
+            wanted.update(operands(nodes[i]))
+        rest = Flat.of(nodes, flat.results)
         rest.groups = flat.groups
         return rest
 
-    def _own(self, nodes: Sequence[Node]) -> dict[int, int]:
+    def _alone(self, nodes: Sequence[Node]) -> dict[int, int]:
         """The operations that depend on the group alone, with their numbers among these."""
-        own: dict[int, int] = {}
+        alone: dict[int, int] = {}
         for i, node in enumerate(nodes):
-            ops = operands(node)
-            given = node.op == "const" or (node.op == "in" and node.args[0] == self.group)
-            if given or (node.op not in SPECIAL and all(k in own for k in ops)):
-                args = [own[k] for k in ops] if ops else node.args
-                own[i] = self._graph.add(node.op, node.precision, *args)
-                if own[i] == len(self._costs):
-                    cost = _WORTH if node.op == "cast" else 1 if ops else 0
-                    self._costs.append(cost + sum(self._costs[k] for k in args if ops))
-                    named = node.op == "in" and node.args[1] not in self.alike
-                    self._has_own.append(named or any(self._has_own[k] for k in args if ops))
-        return own
+            parts = operands(node)
+            is_leaf = node.op == "const" or (node.op == "in" and node.args[0] == self.group)
+            if is_leaf or (node.op not in SPECIAL and all(k in alone for k in parts)):
+                parts = tuple(alone[k] for k in parts)
+                alone[i] = self._graph.add(node.op, node.precision, *(parts or node.args))
+                if alone[i] == len(self._costs):
+                    cost = _WORTH if node.op == "cast" else 1 if parts else 0
+                    self._costs.append(cost + sum(self._costs[k] for k in parts))
+                    differs = node.op == "in" and node.args[1] not in self.alike
+                    self._differs.append(differs or any(self._differs[k] for k in parts))
+        return alone

@@ -15,7 +15,7 @@ import functools
 import inspect
 import linecache
 import math
-import re
+import sys
 import types
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
@@ -23,6 +23,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numba.extending import is_jitted
 
+from fastatt._numba import SEEN
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.unknown import Unknown, is_number
 
@@ -116,22 +117,6 @@ def names_of(code: types.CodeType) -> set[str]:
 # what a function's code does, without running it
 
 
-#: what reads and changes only what the function has made itself, by instructions
-_HARMLESS = re.compile(
-    "(POP_)?JUMP[A-Z_]*|(LOAD|STORE|DELETE)_FAST[A-Z_]*|UNARY_[A-Z]+|" + "|".join((
-        "BEFORE_WITH BINARY_OP BINARY_SLICE BINARY_SUBSCR BUILD_CONST_KEY_MAP BUILD_LIST "
-        "BUILD_MAP BUILD_SET BUILD_SLICE BUILD_STRING BUILD_TUPLE CACHE CALL CALL_FUNCTION_EX "
-        "CALL_INTRINSIC_1 CALL_KW CLEANUP_THROW COMPARE_OP CONTAINS_OP CONVERT_VALUE COPY "
-        "COPY_FREE_VARS DELETE_SUBSCR DICT_MERGE DICT_UPDATE END_FOR END_SEND EXTENDED_ARG "
-        "FOR_ITER GET_ITER GET_LEN GET_YIELD_FROM_ITER IMPORT_FROM IS_OP KW_NAMES LIST_APPEND "
-        "LIST_EXTEND LIST_TO_TUPLE LOAD_ASSERTION_ERROR LOAD_ATTR LOAD_CLOSURE LOAD_CONST "
-        "LOAD_METHOD LOAD_SUPER_ATTR MAKE_CELL MAKE_FUNCTION MAP_ADD MATCH_CLASS MATCH_KEYS "
-        "MATCH_MAPPING MATCH_SEQUENCE NOP POP_TOP PRECALL PUSH_EXC_INFO PUSH_NULL RAISE_VARARGS "
-        "RERAISE RESUME RETURN_CONST RETURN_GENERATOR RETURN_VALUE SEND SET_ADD "
-        "SET_FUNCTION_ATTRIBUTE SET_UPDATE STORE_SLICE STORE_SUBSCR SWAP TO_BOOL UNPACK_EX "
-        "UNPACK_SEQUENCE YIELD_VALUE "
-    ).split())
-)  # fmt: skip
 _LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF")
 _CATCHES = ("POP_EXCEPT", "CHECK_EXC_MATCH", "WITH_EXCEPT_START")
 _TEXTS = ("str", "repr", "format", "ascii")
@@ -144,19 +129,20 @@ _WRITES = {
     "IMPORT_NAME": "the statement import",
     "LOAD_BUILD_CLASS": "the statement class",
 }
-_KNOWN = {*_LOADS, *_CATCHES, *_MAKES_TEXT, *_WRITES}
+#: the newest Python whose instructions are known: others than these do no harm
+_NEWEST = SEEN["Python"]
 
 
 @functools.lru_cache(maxsize=4096)
 def _instructions(code: types.CodeType) -> list[tuple[str, Any, int]]:
     """(instruction, what it is about, line) of code, and of functions within it."""
-    found: list[tuple[str, Any, int]] = []
+    instructions: list[tuple[str, Any, int]] = []
     for part in codes_of(code):
         line = part.co_firstlineno
         for x in dis.get_instructions(part):
             line = (x.positions and x.positions.lineno) or line
-            found.append((x.opname, x.argval, line))
-    return found
+            instructions.append((x.opname, x.argval, line))
+    return instructions
 
 
 def check(function: types.FunctionType, *, texts: bool) -> None:
@@ -166,28 +152,30 @@ def check(function: types.FunctionType, *, texts: bool) -> None:
     that catches errors.
     """
     code, values, before = function.__code__, dict(function.__globals__), None
+    if sys.version_info[:2] > _NEWEST:
+        newest = ".".join(map(str, _NEWEST))
+        what = f"the instructions of Python {sys.version.split()[0]}, which are not known"
+        refuse(what, f"accepted: Python 3.11 to {newest}", code.co_filename, code.co_firstlineno)
     for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
         with contextlib.suppress(ValueError):  # a name without a value
             values[name] = cell.cell_contents
     for op, name, line in _instructions(code):
-        at, builtin = (code.co_filename, line), op in _LOADS and name not in values
+        where, builtin = (code.co_filename, line), op in _LOADS and name not in values
         is_math = op == "IMPORT_NAME" and name.partition(".")[0] in ("math", "numpy")
         is_own = op.endswith("_DEREF") and name not in code.co_freevars
         if op in _WRITES and not is_math and not is_own:
-            refuse(_WRITES[op].format(name), OUTSIDE, *at)
+            refuse(_WRITES[op].format(name), OUTSIDE, *where)
         if (builtin and name in _READING) or (op in _LOADS and is_source(values.get(name))):
-            refuse(f"{name}, which may differ from call to call", SAME, *at)
+            refuse(f"{name}, which may differ from call to call", SAME, *where)
         if op in ("LOAD_ATTR", "LOAD_METHOD") and name == "random":
-            refuse("random, which may differ from call to call", SAME, *at)
+            refuse("random, which may differ from call to call", SAME, *where)
         if op == "IS_OP" and isinstance(before, bool):
-            refuse("`is` with True or False, which depends on the type", SAME, *at)
+            refuse("`is` with True or False, which depends on the type", SAME, *where)
         if texts and (op in _MAKES_TEXT or (builtin and name in _TEXTS)):
-            refuse("the text of a number", SAME, *at)
+            refuse("the text of a number", SAME, *where)
         if op in _CATCHES and not texts:
-            raise placed(f"{function.__name__} catches errors", *at)
+            raise placed(f"{function.__name__} catches errors", *where)
         before = name if op == "LOAD_CONST" else None
-        if not (op in _KNOWN or _HARMLESS.fullmatch(op)):
-            refuse(f"the instruction {op}, which is not known", SAME, *at)
 
 
 def is_source(value: Any) -> bool:
@@ -203,8 +191,8 @@ def is_source(value: Any) -> bool:
 
 def _function_in(cls: type, name: str) -> types.FunctionType | None:
     """A Python function of a class, None if there is none of that name."""
-    found = inspect.getattr_static(cls, name, None)
-    return found if isinstance(found, types.FunctionType) else None
+    attribute = inspect.getattr_static(cls, name, None)
+    return attribute if isinstance(attribute, types.FunctionType) else None
 
 
 def _computes(value: Any) -> bool:
@@ -276,24 +264,26 @@ class Held:
 
     def __getattr__(self, name: str) -> Any:
         of, freezer, cls = self.of, self._freezer, type(self.of)
-        held, own = (inspect.getattr_static(x, name, _NOTHING) for x in (cls, of))
+        of_class, attribute = (inspect.getattr_static(x, name, _NOTHING) for x in (cls, of))
+        is_of_class = attribute is of_class
         if _function_in(cls, "__getattribute__"):
             raise TraceError(f"an attribute of a {cls.__name__}, which has __getattribute__")
-        if own is _NOTHING and (get := _function_in(cls, "__getattr__")):
+        if attribute is _NOTHING and (get := _function_in(cls, "__getattr__")):
             return freezer.function(get)(self, name)
-        if own is held and isinstance(held, types.FunctionType):
-            return types.MethodType(freezer.function(held), self)
-        if own is held and isinstance(held, (property, types.DynamicClassAttribute)):
-            return freezer.function(held.fget)(self)
-        if own is held and isinstance(held, functools.cached_property):
-            return freezer.function(held.func)(self)
-        get, of_class = _function_in(type(own), "__get__"), isinstance(of, type) and own is not held
-        is_ours = get and (own is held or of_class) and not isinstance(own, enum.property)
-        if is_ours and not is_jitted(own):
-            given = (None, self) if of_class else (self, freezer(cls))
-            return freezer.function(get)(freezer(own), *given)
+        if is_of_class and isinstance(attribute, types.FunctionType):
+            return types.MethodType(freezer.function(attribute), self)
+        if is_of_class and isinstance(attribute, (property, types.DynamicClassAttribute)):
+            return freezer.function(attribute.fget)(self)
+        if is_of_class and isinstance(attribute, functools.cached_property):
+            return freezer.function(attribute.func)(self)
+        get = _function_in(type(attribute), "__get__")
+        is_known = isinstance(attribute, enum.property) or is_jitted(attribute)
+        if get and not is_known and (is_of_class or isinstance(of, type)):
+            owner = (self, freezer(cls)) if is_of_class else (None, self)
+            return freezer.function(get)(freezer(attribute), *owner)
         value = getattr(of, name)
-        if own is _NOTHING and not callable(value) and not isinstance(value, types.ModuleType):
+        is_plain = not callable(value) and not isinstance(value, types.ModuleType)
+        if attribute is _NOTHING and is_plain:
             raise TraceError(f"{name}, which a function of a {cls.__name__} gives")
         return freezer(value)
 
@@ -345,15 +335,16 @@ class Freezer:
 
     def __init__(self, known: Callable[..., Any], scope: Any, code: Callable[..., Any]) -> None:
         self._known, self._scope, self._code = known, scope, code
-        self._made: dict[int, tuple[Any, Any]] = {}
+        #: (frozen, value) by the identity of the value, which is kept alive
+        self._pairs: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, value: Any) -> Any:
         """The frozen value."""
         if value is None or type(value) in _CONSTANTS:
             return value
-        if id(value) not in self._made:
-            self._made[id(value)] = self._frozen(value), value  # it is kept alive
-        return self._made[id(value)][0]
+        if id(value) not in self._pairs:
+            self._pairs[id(value)] = self._frozen(value), value
+        return self._pairs[id(value)][0]
 
     def _frozen(self, value: Any) -> Any:
         if is_source(value):
@@ -365,11 +356,11 @@ class Freezer:
         if isinstance(value, np.generic):
             return value.item()
         if isinstance(value, tuple):
-            made = tuple(map(self, value))
+            parts = tuple(map(self, value))
             is_plain = hasattr(type(value), "_fields") and not _has_functions(type(value))
             if is_plain or type(value) is tuple:
-                return type(value)(*made) if is_plain else made
-            return self._held_as(value, made)
+                return type(value)(*parts) if is_plain else parts
+            return self._held_as(value, parts)
         if isinstance(value, (int, float, complex, str)):
             return self._held_as(value, value)
         if isinstance(value, list):
@@ -390,9 +381,9 @@ class Freezer:
             return self._scope["__builtins__"].get(value.__name__, value)
         return unknown(value) if isinstance(value, _OF_C) else Held(value, self)
 
-    def _held_as(self, value: Any, made: Any) -> Any:
+    def _held_as(self, value: Any, plain: Any) -> Any:
         base, cls = next((x, cls) for x, cls in _HELD_AS.items() if isinstance(value, x))
-        held: Any = base.__new__(cls, made)
+        held: Any = base.__new__(cls, plain)
         held.__dict__.update(of=value, _freezer=self)
         return held
 
@@ -400,12 +391,12 @@ class Freezer:
         """The function with frozen globals, closure and defaults."""
         if _is_library(function):
             return unknown(function)
-        if id(function) in self._made:
-            return self._made[id(function)][0]
+        if id(function) in self._pairs:
+            return self._pairs[id(function)][0]
         scope = {**self._scope, "__name__": function.__module__}
         cells = tuple(types.CellType() for _ in function.__code__.co_freevars)
-        made = types.FunctionType(self._code(function), scope, function.__name__, None, cells)
-        self._made[id(function)] = made, function
+        frozen = types.FunctionType(self._code(function), scope, function.__name__, None, cells)
+        self._pairs[id(function)] = frozen, function
         values = function.__globals__
         names = names_of(function.__code__)
         scope.update((k, self(values[k])) for k in names if k in values)
@@ -414,9 +405,9 @@ class Freezer:
                 cell.cell_contents = self(old.cell_contents)
             except ValueError:  # the name has no value yet
                 continue
-        made.__defaults__ = function.__defaults__ and tuple(map(self, function.__defaults__))
-        made.__kwdefaults__ = {k: self(x) for k, x in (function.__kwdefaults__ or {}).items()}
-        return made
+        frozen.__defaults__ = function.__defaults__ and tuple(map(self, function.__defaults__))
+        frozen.__kwdefaults__ = {k: self(x) for k, x in (function.__kwdefaults__ or {}).items()}
+        return frozen
 
 
 def in_python(function: Any) -> Any:
@@ -436,13 +427,10 @@ def _is_library(value: Any) -> bool:
 
 def _has_functions(cls: type) -> bool:
     """Whether a class has functions that its author wrote, such as methods of a named tuple."""
-    written = (
-        (getattr(x, "fget", getattr(x, "__func__", x)), c)
-        for c in cls.__mro__
-        for x in vars(c).values()
-    )
+    attributes = ((x, base) for base in cls.__mro__ for x in vars(base).values())
+    written = ((getattr(x, "fget", getattr(x, "__func__", x)), base) for x, base in attributes)
     return any(
-        isinstance(x, types.FunctionType) and x.__module__ == c.__module__ for x, c in written
+        isinstance(x, types.FunctionType) and x.__module__ == base.__module__ for x, base in written
     )
 
 
@@ -482,9 +470,9 @@ def guarded(function: Any, run: Callable[[], Any]) -> Any:
 
 def _place_of(error: BaseException, code: types.CodeType) -> tuple[str, int]:
     """(file, line) of the innermost frame of a frozen function, or of the whole code."""
-    found, step = (code.co_filename, code.co_firstlineno), error.__traceback__
+    where, step = (code.co_filename, code.co_firstlineno), error.__traceback__
     while step is not None:
         if "__choose__" in step.tb_frame.f_globals:
-            found = step.tb_frame.f_code.co_filename, step.tb_lineno
+            where = step.tb_frame.f_code.co_filename, step.tb_lineno
         step = step.tb_next
-    return found
+    return where

@@ -12,7 +12,7 @@ import ctypes
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,15 +45,14 @@ class Graph:
         """The number of an operation, which is added if it is new."""
         # 0.0 and -0.0 are equal as keys, and NaN does not equal itself
         key = (op, precision, tuple(map(float.hex, args)) if op == "const" else args)
-        found = self._known.get(key)
-        if found is None:
-            found = self._known[key] = len(self.nodes)
+        number = self._known.setdefault(key, len(self.nodes))
+        if number == len(self.nodes):
             self.nodes.append(Node(op, precision, args))
-        return found
+        return number
 
     def input(self, precision: str, *name: Any) -> Number:
         """An input; ``name`` is the name by which a program finds it."""
-        return _of(self, self.add("in", precision, *name), precision)  # type: ignore[no-any-return]
+        return recorded(self, "in", precision, *name)  # type: ignore[no-any-return]
 
     def inputs(self, precision: str, group: str, n: int) -> tuple[Number, ...]:
         """Numbers (group, 0) to (group, n − 1)."""
@@ -97,25 +96,15 @@ class Recorded:
         """``type(x)``: a function that converts to the precision of x."""
         return type(self)
 
-    def __pos__(self) -> Any:
-        return self
-
-    def __bool__(self) -> bool:
-        return bool(self != 0.0)  # type: ignore[comparison-overlap]
-
-    def __divmod__(self, other: Any) -> Any:
-        return divided(self, other)
-
-    def __rdivmod__(self, other: Any) -> Any:
-        return divided(other, self)
-
+    __pos__ = lambda self: self  # noqa: E731
+    __bool__ = lambda self: bool(self != 0.0)  # noqa: E731
+    __divmod__ = lambda self, other: divided(self, other)  # noqa: E731
+    __rdivmod__ = lambda self, other: divided(other, self)  # noqa: E731
     __floordiv__ = lambda self, other: divmod(self, other)[0]  # noqa: E731
     __rfloordiv__ = lambda self, other: divmod(other, self)[0]  # noqa: E731
     __mod__ = lambda self, other: divmod(self, other)[1]  # noqa: E731
     __rmod__ = lambda self, other: divmod(other, self)[1]  # noqa: E731
-
-    def __rpow__(self, base: Any) -> Any:
-        return raised(base, self)
+    __rpow__ = lambda self, base: raised(base, self)  # noqa: E731
 
     def __float__(self) -> Any:
         raise TraceError("a number that is not known beforehand, where Python wants a known one")
@@ -131,10 +120,9 @@ class Composed(Recorded):
     """
 
     __slots__ = ()
-
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
+    cast: Any
+    applied: Any
+    raised: Any
 
 
 def composed_of(*values: Any) -> Any:
@@ -142,19 +130,19 @@ def composed_of(*values: Any) -> Any:
     return next((type(x) for x in values if isinstance(x, Composed)), None)
 
 
-def _lifted(x: Any, like: Number) -> Number:
+def lifted(x: Any, like: Number) -> Number:
+    """A number as one of the graph and, for a known one, of the precision of another."""
     if isinstance(x, Number):
         return x
     if not isinstance(x, (int, float, np.number, np.bool_)):
         raise TraceError(f"arithmetic with {type(x).__name__}")
-    value = float(x)
-    return _made(like.graph, "const", like.precision, value)  # type: ignore[no-any-return]
+    return recorded(like.graph, "const", like.precision, float(x))  # type: ignore[no-any-return]
 
 
-def _pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
+def pair(a: Any, b: Any, op: str = "") -> tuple[Number, Number]:
     """Both operands as numbers of one precision; see ``Graph``."""
     like = a if isinstance(a, Number) else b
-    a, b = _lifted(a, like), _lifted(b, like)
+    a, b = lifted(a, like), lifted(b, like)
     if a.precision != b.precision:
         graph = a.graph
         wide, other = (a, b) if a.precision == "double" else (b, a)
@@ -169,8 +157,8 @@ def _binary(op: str, a: Any, b: Any) -> Any:
     if type(a) is not type(b):
         if isinstance(b, Composed):
             return NotImplemented
-        a, b = _pair(a, b, op)
-    return _made(a.graph, op, a.precision, a.at, b.at)
+        a, b = pair(a, b, op)
+    return recorded(a.graph, op, a.precision, a.at, b.at)
 
 
 def _is(x: Any, value: float) -> bool:
@@ -241,8 +229,8 @@ def _comparison(op: str) -> Callable[[Any, Any], Any]:
     def compare(a: Any, b: Any) -> Any:
         if not isinstance(b, (Number, int, float, np.number)):
             return NotImplemented
-        a, b = _pair(a, b)
-        return _condition(a.graph, op, a.at, b.at)
+        a, b = pair(a, b)
+        return recorded(a.graph, op, "", a.at, b.at)
 
     return compare
 
@@ -258,9 +246,8 @@ class Number(Recorded):
     def __new__(cls, x: Any) -> Any:
         """x in this precision, the meaning of ``type(y)(x)`` in a kernel."""
         if isinstance(x, Number):
-            return (
-                x if x.precision == cls.precision else _made(x.graph, "cast", cls.precision, x.at)
-            )
+            is_same = x.precision == cls.precision
+            return x if is_same else recorded(x.graph, "cast", cls.precision, x.at)
         return x.cast(cls) if isinstance(x, Composed) else cls.rounded(x)
 
     @staticmethod
@@ -273,17 +260,14 @@ class Number(Recorded):
     __mul__, __rmul__ = _product, _turned(_product)
     __truediv__, __rtruediv__ = _quotient, _turned(_quotient)
 
-    def __pow__(self, power: Any) -> Any:
-        return raised(self, power)
+    __pow__ = lambda self, power: raised(self, power)  # noqa: E731
+    __abs__ = lambda self: apply("abs", self)  # noqa: E731
 
     def __neg__(self) -> Any:
         node = self.graph.nodes[self.at]
         if node.op == "neg":
-            return _of(self.graph, node.args[0], self.precision)
-        return _made(self.graph, "neg", self.precision, self.at)
-
-    def __abs__(self) -> Any:
-        return apply("abs", self)
+            return _operation(self.graph, node.args[0], self.precision)
+        return apply("neg", self)
 
     __lt__, __le__, __gt__, __ge__ = map(_comparison, ("<", "<=", ">", ">="))
     __eq__, __ne__ = map(_comparison, ("==", "!="))
@@ -314,7 +298,7 @@ def _joined(op: str, a: Any, b: Any) -> Any:
     for x, y in ((a, b), (b, a)):
         if isinstance(x, (bool, np.bool_)):
             return y if x == (op == "and") else bool(x)
-    return _condition(a.graph, op, a.at, b.at)
+    return recorded(a.graph, op, "", a.at, b.at)
 
 
 #: a and b, for conditions
@@ -329,8 +313,8 @@ def negated(a: Any) -> Any:
         return not a
     node = a.graph.nodes[a.at]
     if node.op == "not":
-        return _condition_at(a.graph, node.args[0])
-    return _condition(a.graph, "not", a.at)
+        return _operation(a.graph, node.args[0], "")
+    return recorded(a.graph, "not", "", a.at)
 
 
 class Condition:
@@ -353,24 +337,16 @@ class Condition:
 CLASSES: dict[str, type[Number]] = {"double": Double, "single": Single}
 
 
-def _of(graph: Graph, at: int, precision: str) -> Any:
-    number = object.__new__(CLASSES[precision])
-    number.graph, number.at = graph, at
-    return number
+def recorded(graph: Graph, op: str, precision: str, *args: Any) -> Any:
+    """An operation that is added to a graph, as a number or, of the precision "", a condition."""
+    return _operation(graph, graph.add(op, precision, *args), precision)
 
 
-def _made(graph: Graph, op: str, precision: str, *args: Any) -> Any:
-    return _of(graph, graph.add(op, precision, *args), precision)
-
-
-def _condition_at(graph: Graph, at: int) -> Condition:
-    made = object.__new__(Condition)
-    made.graph, made.at = graph, at
-    return made
-
-
-def _condition(graph: Graph, op: str, *args: int) -> Condition:
-    return _condition_at(graph, graph.add(op, "", *args))
+def _operation(graph: Graph, at: int, precision: str) -> Any:
+    """The operation ``at``."""
+    operation = object.__new__(CLASSES.get(precision, Condition))
+    operation.graph, operation.at = graph, at  # type: ignore[attr-defined]
+    return operation
 
 
 def choose(test: Any, a: Any, b: Any) -> Any:
@@ -382,8 +358,8 @@ def choose(test: Any, a: Any, b: Any) -> Any:
     if isinstance(a, (tuple, list)):
         if not isinstance(b, (tuple, list)) or len(a) != len(b):
             raise TraceError("a choice between tuples of two lengths")
-        made = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
-        return type(a)(*made) if hasattr(a, "_fields") else tuple(made)
+        parts = [choose(test, x, y) for x, y in zip(a, b, strict=True)]
+        return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
     if isinstance(a, Condition) or isinstance(b, Condition) or isinstance(a, bool):
         if not all(isinstance(x, (Condition, bool, np.bool_)) for x in (a, b)):
             raise TraceError("a choice between a number and a truth value")
@@ -399,12 +375,12 @@ def choose(test: Any, a: Any, b: Any) -> Any:
             raise TraceError(f"a choice between {type(a).__name__} and {type(b).__name__}")
         # two constants have the precision of the compared numbers
         a = number(test.graph, a, _compared(test))
-    a, b = _pair(a, b)
+    a, b = pair(a, b)
     inner = a.graph.nodes[a.at]
     if inner.op == "select" and inner.args[2] == b.at:  # of nested conditions
-        test = both(test, _condition_at(a.graph, inner.args[0]))
-        a = _of(a.graph, inner.args[1], a.precision)
-    return a if a.at == b.at else _made(a.graph, "select", a.precision, test.at, a.at, b.at)
+        test = both(test, _operation(a.graph, inner.args[0], ""))
+        a = _operation(a.graph, inner.args[1], a.precision)
+    return a if a.at == b.at else recorded(a.graph, "select", a.precision, test.at, a.at, b.at)
 
 
 def _compared(test: Condition) -> str:
@@ -421,7 +397,7 @@ def apply(function: str, x: Any) -> Any:
         return x.applied(function)
     if not isinstance(x, Number):
         raise TraceError(f"{function} of {type(x).__name__}")
-    return _made(x.graph, function, x.precision, x.at)
+    return recorded(x.graph, function, x.precision, x.at)
 
 
 def raised(x: Any, power: Any) -> Any:
@@ -462,6 +438,36 @@ def divided(x: Any, y: Any) -> tuple[Any, Any]:
     return choose(past, whole - 1.0, whole), choose(below, -rest, rest)
 
 
+def larger(a: Any, b: Any) -> Any:
+    """The larger of two numbers that are not negative; NaN counts as the largest."""
+    if (composed := composed_of(a, b)) is not None:
+        return composed.larger(a, b)
+    if not isinstance(a, Number) and not isinstance(b, Number):
+        return max(a, b)
+    a, b = pair(a, b)
+    return recorded(a.graph, "larger", a.precision, a.at, b.at)
+
+
+def row(table: Any, index: Any, count: int) -> tuple[Any, ...]:
+    """Successive doubles of an array, from a whole ``index`` (a number of double precision) on."""
+    begin = index.graph.add("row", "", table, count, index.at)
+    return tuple(recorded(index.graph, "element", "double", begin, k) for k in range(count))
+
+
+def lane(x: Number, k: int) -> Any:
+    """The number in lane k of a value that has a lane for each direction."""
+    return recorded(x.graph, "lane", x.precision, k, x.at)
+
+
+def opaque(function: int, results: int, args: Sequence[Any], like: Number) -> tuple[Any, ...]:
+    """The results, as doubles, of a compiled function that can't be traced."""
+    if (composed := composed_of(*args)) is not None:
+        return composed.opaque(function, results, args)  # type: ignore[no-any-return]
+    numbers = [Double(lifted(x, like)).at for x in args]
+    called = like.graph.add("opaque", "", function, results, *numbers)
+    return tuple(recorded(like.graph, "item", "double", called, i) for i in range(results))
+
+
 def number(graph: Graph, x: Any, precision: str) -> Number:
     """x as a number of a graph and a precision."""
     if isinstance(x, Number):
@@ -469,7 +475,7 @@ def number(graph: Graph, x: Any, precision: str) -> Number:
     if isinstance(x, (bool, Condition, Composed)):
         what = type(x).__name__ if isinstance(x, Composed) else "truth value"
         raise TraceError(f"a {what} where a number of a graph is wanted")
-    return _of(graph, graph.add("const", precision, float(x)), precision)  # type: ignore[no-any-return]
+    return recorded(graph, "const", precision, float(x))  # type: ignore[no-any-return]
 
 
 @contextlib.contextmanager

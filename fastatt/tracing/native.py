@@ -8,7 +8,16 @@ from typing import Any
 
 from fastatt._jit import plain
 from fastatt.kernels import trig
-from fastatt.tracing.graph import Double, Number, Single, _made, apply, choose, flattened
+from fastatt.tracing.graph import (
+    Double,
+    Number,
+    Single,
+    apply,
+    choose,
+    composed_of,
+    flattened,
+    recorded,
+)
 
 
 def _powers_of_two(k: Any) -> tuple[Any, Any]:
@@ -40,7 +49,7 @@ def _normalise(q: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _split_product(a: Any, b: Any) -> tuple[Any, Any]:
     high = a * b
-    return high, _made(a.graph, "fms", a.precision, a.at, b.at, high.at)
+    return high, recorded(a.graph, "fms", a.precision, a.at, b.at, high.at)
 
 
 def _in_machine_code(formula: Callable[..., Any]) -> Callable[..., Any]:
@@ -71,7 +80,7 @@ def _of_phase(x: Any) -> tuple[Any, Any] | None:
 
 #: functions that are at least as accurate as a kernel, by its module and its name; they return None
 #: where they don't apply
-SHORTER: dict[tuple[str, str], Callable[..., Any]] = {
+_SHORTER: dict[tuple[str, str], Callable[..., Any]] = {
     ("fastatt.kernels.trig", "powers_of_two"): _in_machine_code(_powers_of_two),
     ("fastatt.kernels.trig", "octaves"): _in_machine_code(_octaves),
     ("fastatt.kernels.free_body", "scale"): _in_machine_code(_scale),
@@ -79,3 +88,13 @@ SHORTER: dict[tuple[str, str], Callable[..., Any]] = {
     ("fastatt.kernels.quat", "normalise"): _in_machine_code(_normalise),
     ("fastatt.kernels.trig", "sincos"): _of_phase,
 }
+
+
+def called(formula: Callable[..., Any], function: Any, args: tuple[Any, ...]) -> Any:
+    """``formula(*args)``, the traced form of ``function``, or a shorter equivalent."""
+    composed = composed_of(*args)
+    if composed is not None:
+        return composed.called(formula, function, args)
+    shorter = _SHORTER.get((function.__module__, function.__name__))
+    result = None if shorter is None else shorter(*args)
+    return formula(*args) if result is None else result

@@ -22,6 +22,8 @@ Function = Callable[..., Any]
 #: the extremes of a result are where arguments are extreme or zero
 AT_ENDS = "at ends"
 UNBOUNDED = (-math.inf, math.inf)
+#: kernels as formulas, by their names; ``tracing.trace``, which needs operations, adds them
+KERNELS: dict[str, Function] = {}
 
 
 class Operation(NamedTuple):
@@ -106,20 +108,11 @@ def _other_side(x: Any) -> Any:
     return applied("sqrt", (1.0 - x) * (1.0 + x))
 
 
-@functools.cache
-def _kernel(name: str) -> Function:
-    from fastatt.kernels import trig
-    from fastatt.tracing.trace import stand_in
-
-    found: Function = stand_in(getattr(trig, name))
-    return found
-
-
 def _sines(x: Any) -> tuple[Any, Any]:
     """(sin x, cos x); NaN if neighbouring numbers are so far apart that no digit remains."""
     most = {"double": 2.0**50, "single": 2.0**21}.get(getattr(x, "precision", ""), math.inf)
     known = graph.both(x < most, x > -most)
-    s, c = _kernel("sincos")(x)
+    s, c = KERNELS["sincos"](x)
     return graph.choose(known, s, math.nan), graph.choose(known, c, math.nan)
 
 
@@ -160,7 +153,7 @@ OPERATIONS: dict[str, Operation] = {
     "and": Operation(np.logical_and, None, 2, "and", "{0} & {1}"),
     "or": Operation(np.logical_or, None, 2, "or", "{0} | {1}"),
     "not": Operation(np.logical_not),
-    "select": Operation(lambda *given: np.asarray(np.where(*given))[()], graph.choose, 3),
+    "select": Operation(lambda *x: np.asarray(np.where(*x))[()], graph.choose, 3),
     # of graphs alone
     "fma": Operation(lambda a, b, c: a * b + c, None, 3, "", "{0} * {1} + {2}"),
     "fms": Operation(lambda a, b, c: a * b - c, None, 3, "", "{0} * {1} - {2}"),
@@ -190,17 +183,17 @@ OPERATIONS: dict[str, Operation] = {
         bounds=UNBOUNDED, cost=45,
     ),
     "asin": Operation(
-        np.arcsin, lambda x: _kernel("atan2")(x, _other_side(x)), 1, "@asin", "",
+        np.arcsin, lambda x: KERNELS["atan2"](x, _other_side(x)), 1, "@asin", "",
         (), lambda x, f: 1.0 / _other_side(x), (-2.0, 2.0), 45,
     ),
     "acos": Operation(
-        np.arccos, lambda x: _kernel("atan2")(_other_side(x), x), 1, "@acos", "",
+        np.arccos, lambda x: KERNELS["atan2"](_other_side(x), x), 1, "@acos", "",
         (), lambda x, f: -1.0 / _other_side(x), (0.0, math.pi), 45,
     ),
-    "atan": Operation(np.arctan, lambda x: _kernel("atan2")(x, 1.0), cost=45),
+    "atan": Operation(np.arctan, lambda x: KERNELS["atan2"](x, 1.0), cost=45),
     # functions of two numbers
     "atan2": Operation(
-        np.arctan2, lambda y, x: _kernel("atan2")(y, x), 2,
+        np.arctan2, lambda y, x: KERNELS["atan2"](y, x), 2,
         bounds=(-math.pi, math.pi), cost=45,
     ),
     "hypot": Operation(np.hypot, lambda x, y: graph.apply("sqrt", x * x + y * y), 2),

@@ -68,16 +68,13 @@ def _either(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], An
         return recorder.choice(test, x, y)
 
     arrays = [x for x in values if isinstance(x, np.ndarray)]
-    if not arrays:
-        made = chosen(*values)
-    elif len(arrays) == 1 or arrays[0].shape != arrays[1].shape:
+    if arrays and (len(arrays) == 1 or arrays[0].shape != arrays[1].shape):
         raise TraceError("a choice of values of two shapes")
-    else:
-        made = each(chosen, *values)
-        # they may have other names
-        recorder.unchanged += [(x, x.copy()) for x in (made, *values) if x.dtype == object]
+    choice = each(chosen, *values) if arrays else chosen(*values)
+    if arrays:  # they may have other names
+        recorder.unchanged += [(x, x.copy()) for x in (choice, *values) if x.dtype == object]
     recorder.chosen.add(test)
-    return made
+    return choice
 
 
 _SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__changed__": _changed}
@@ -93,19 +90,19 @@ class Followed(NamedTuple):
     conditions: set[int]
 
 
-def follow(function: Any, given: Signature) -> Followed:
+def follow(function: Any, signature: Signature) -> Followed:
     """Follow a function.
 
     Raises ``TraceError``, with the line, if it can't be followed, and ``RefusedError`` if it is no
     function that a scene accepts.
     """
     try:
-        return _followed(function, given, predicated=True)
+        return _followed(function, signature, predicated=True)
     except (TraceError, RefusedError):
-        return _followed(function, given, predicated=False)
+        return _followed(function, signature, predicated=False)
 
 
-def _followed(function: Any, given: Signature, *, predicated: bool) -> Followed:
+def _followed(function: Any, signature: Signature, *, predicated: bool) -> Followed:
     recorder, paths = Recorder(), list[list[tuple[int, bool]]]()
     raised: Any = (TypeError, AttributeError, RecursionError, MemoryError)
     # a name without a value is no error where it is only read to be kept
@@ -116,22 +113,23 @@ def _followed(function: Any, given: Signature, *, predicated: bool) -> Followed:
         code = function.__code__
         return (predicated and rewritten(code, known_names(function.__globals__))) or code
 
-    made = guarded(function, lambda: Freezer(replaced, _SCOPE, code)(function))
-    inputs = given.nested([recorder.at(recorder.add("in", k)) for k in range(given.size)])
+    frozen = guarded(function, lambda: Freezer(replaced, _SCOPE, code)(function))
+    numbers = [recorder.at(recorder.add("in", k)) for k in range(signature.size)]
+    inputs = signature.nested(numbers)
 
     def below(forced: list[bool]) -> list[Any]:
         """The results of the paths that begin with given answers."""
         if len(paths) >= MOST_PATHS:
             raise TraceError(f"more than {MOST_PATHS} execution paths")
         recorder.begin(forced)
-        found = _path(lambda: given.in_a_row(made(*inputs)), recorder, given.results, raised)
+        run = lambda: signature.in_a_row(frozen(*inputs))  # noqa: E731
+        results = _path(run, recorder, signature.results, raised)
         taken = list(recorder.answers.items())
         paths.append(taken)
         for k in reversed(range(len(forced), len(taken))):
-            other = below([x for _, x in taken[:k]] + [False])
-            pairs = zip(found, other, strict=True)
-            found = [recorder.choice(taken[k][0], *pair) for pair in pairs]
-        return found
+            pairs = zip(results, below([x for _, x in taken[:k]] + [False]), strict=True)
+            results = [recorder.choice(taken[k][0], *pair) for pair in pairs]
+        return results
 
     results = [*map(recorder.number, guarded(function, lambda: below([])))]
     kept = Kept(tuple(recorder.nodes), tuple(results))
@@ -139,26 +137,26 @@ def _followed(function: Any, given: Signature, *, predicated: bool) -> Followed:
         error = recorder.error
         text = f"{type(error).__name__}: {error}"
         raise TraceError(f"an error on every path, such as {text}") from error
-    paths += [[(at, answer)] for at in recorder.chosen for answer in (True, False)]
-    conditions = {at for path in paths for at, _ in path} - recorder.guards
+    paths += [[(condition, answer)] for condition in recorder.chosen for answer in (True, False)]
+    conditions = {condition for path in paths for condition, _ in path} - recorder.guards
     return Followed(kept, paths, conditions)
 
 
-def _path(run: Callable[[], Any], recorder: Recorder, results: int, raised: Any) -> list[Any]:
+def _path(run: Callable[[], Any], recorder: Recorder, n_results: int, raised: Any) -> list[Any]:
     """The results of a path; NaN if it ends in an error that is not ``raised``."""
     try:
-        found = list(run())
+        results = list(run())
     except Exception as error:
         if isinstance(error, raised):
             raise
         if "read-only" in str(error):
             raise RefusedError("an array from outside the function that it changes") from error
         recorder.error = error
-        return [math.nan] * results
+        return [math.nan] * n_results
     finally:
         for x, before in recorder.unchanged:
             if any(a is not b for a, b in zip(x.flat, before.flat, strict=True)):
                 raise TraceError("a change of an array that may have other names")
     if recorder.texts:
         raise RefusedError("the text of a number")
-    return found
+    return results

@@ -34,21 +34,21 @@ def unknown_in(*values: Any) -> Any:
             return x
         parts = x.flat if isinstance(x, np.ndarray) and x.dtype == object else x
         if isinstance(parts, (tuple, list, np.flatiter)):
-            found = unknown_in(*parts)
-            if found is not None:
-                return found
+            inner = unknown_in(*parts)
+            if inner is not None:
+                return inner
     return None
 
 
 def each(f: Callable[..., Any], *values: Any) -> Any:
     """A function of numbers, applied to arrays that broadcast."""
     boxes = np.broadcast_arrays(*map(objects, values))
-    made = np.empty(boxes[0].shape, dtype=object)
-    for k in np.ndindex(made.shape):
-        made[k] = f(*(box[k] for box in boxes))
-    if made.size and all(isinstance(x, bool) for x in made.flat):
-        made = made.astype(bool)
-    return made if made.ndim else made[()]
+    results = np.empty(boxes[0].shape, dtype=object)
+    for k in np.ndindex(results.shape):
+        results[k] = f(*(box[k] for box in boxes))
+    if results.size and all(isinstance(x, bool) for x in results.flat):
+        results = results.astype(bool)
+    return results[()]
 
 
 def objects(x: Any) -> Any:
@@ -56,12 +56,14 @@ def objects(x: Any) -> Any:
     return np.array(x, dtype=object)
 
 
-def _of_numbers(op: str, known: Callable[..., Any]) -> Callable[..., Any]:
+def _of_numbers(
+    op: str, known: Callable[..., Any], *, stays_whole: bool = False
+) -> Callable[..., Any]:
     """An operation of numbers, by Python if they are known."""
 
     def call(*values: Any) -> Any:
-        like = unknown_in(*values)
-        return known(*values) if like is None else like.recorder.unknown(op, *values)
+        like, stays = unknown_in(*values), stays_whole and all(map(is_whole, values))
+        return known(*values) if like is None else like.recorder.unknown(op, *values, whole=stays)
 
     return call
 
@@ -106,9 +108,9 @@ def _interp(x: Any, xs: Any, ys: Any) -> Any:
         further = recorder.choose("<=", k + step, last, k + step, k)
         k = recorder.choose(">=", x, recorder.gather(xs, further), further, k)
     slope = recorder.gather(np.append(np.diff(ys) / np.diff(xs), 0.0), k)
-    found = slope * (x - recorder.gather(xs, k)) + recorder.gather(ys, k)
-    found = recorder.choose("<", x, xs[0], ys[0], found)
-    return recorder.choose(">=", x, xs[-1], ys[-1], found)
+    within = slope * (x - recorder.gather(xs, k)) + recorder.gather(ys, k)
+    above = recorder.choose("<", x, xs[0], ys[0], within)
+    return recorder.choose(">=", x, xs[-1], ys[-1], above)
 
 
 def _select(tests: Any, values: Any, default: Any = 0) -> Any:
@@ -174,8 +176,8 @@ class Library:
             return special(*args, **named)
         if not of_math and name in _PASSED:
             joins = name.endswith(("stack", "concatenate"))
-            made = (objects(x) if isinstance(x, (tuple, list)) and not joins else x for x in args)
-            return value(*made, **named)
+            rows = (tuple, list) if not joins else ()
+            return value(*(objects(x) if isinstance(x, rows) else x for x in args), **named)
         if of is None or of.traced is None or len(args) != of.arity:
             raise TraceError(full)
         return like.recorder.unknown(op, *args) if of_math else each(_of_numbers(op, value), *args)
@@ -183,11 +185,10 @@ class Library:
 
 def _known(value: Callable[..., Any], args: Any, named: Any) -> Any:
     """A function of known numbers: NumPy's own result, as an array that can hold unknown ones."""
-    args = [_python(x) for x in args]
     with np.errstate(all="ignore"):
-        found = value(*args, **{k: _python(x) for k, x in named.items()})
-    is_array = isinstance(found, np.ndarray) and found.dtype == np.float64
-    return found.astype(object) if is_array else found
+        result = value(*map(_python, args), **{k: _python(x) for k, x in named.items()})
+    is_array = isinstance(result, np.ndarray) and result.dtype == np.float64
+    return result.astype(object) if is_array else result
 
 
 def _python(x: Any) -> Any:
@@ -201,10 +202,7 @@ def _python(x: Any) -> Any:
 
 
 def _extreme(op: str, known: Callable[..., Any]) -> Callable[..., Any]:
-    def better(a: Any, b: Any) -> Any:
-        like = unknown_in(a, b)
-        both = is_whole(a) and is_whole(b)
-        return known(a, b) if like is None else like.recorder.unknown(op, a, b, whole=both)
+    better = _of_numbers(op, known, stays_whole=True)
 
     def call(*args: Any, **named: Any) -> Any:
         values = list(args[0]) if len(args) == 1 else args
@@ -276,11 +274,11 @@ class _Array(np.ndarray[Any, Any]):
         place = first.recorder.choose("<", first, 0.0, first + n, first)  # type: ignore[operator]
         is_whole = self.dtype.kind in "iu"
         columns = np.asarray(self)[(slice(None), *rest)]
-        made = np.empty(columns.shape[1:], dtype=object)
-        for k in np.ndindex(made.shape):
+        numbers = np.empty(columns.shape[1:], dtype=object)
+        for k in np.ndindex(numbers.shape):
             column = columns[(slice(None), *k)]
-            made[k] = first.recorder.gather(column, place, whole=is_whole)
-        return made if made.ndim else made[()]
+            numbers[k] = first.recorder.gather(column, place, whole=is_whole)
+        return numbers[()]
 
     def copy(self, *_: Any) -> Any:
         return objects(self) if self.dtype == float else np.array(self)
@@ -291,9 +289,9 @@ def replaced(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biuf":
             raise TraceError(f"an array of {value.dtype}")
-        made = value.copy().view(_Array)
-        made.flags.writeable = False
-        return made
+        array = value.copy().view(_Array)
+        array.flags.writeable = False
+        return array
     if hasattr(type(value), "traced_at") or id(value) in _AS_THEY_ARE:
         return value
     if value is math or value is np or value is np.linalg:

@@ -117,8 +117,7 @@ class _InFunctions(ast.NodeTransformer):
         while isinstance(of, ast.Attribute):
             of = of.value
         name = getattr(x.func, "attr", getattr(of, "id", ""))
-        own = {"__choose__", "__changed__"}
-        is_known = isinstance(of, ast.Name) and of.id in self._known | own
+        is_known = isinstance(of, ast.Name) and of.id in {*self._known, "__choose__", "__changed__"}
         of_numbers = name not in _TAKING and (name not in ("min", "max") or len(x.args) > 1)
         return is_known and of_numbers and not x.keywords
 
@@ -133,14 +132,14 @@ def _read(target: ast.expr) -> ast.expr:
     return ast.parse(ast.unparse(target), mode="eval").body
 
 
-def _at(made: Any, where: ast.AST) -> Any:
+def _at(node: Any, where: ast.AST) -> Any:
     """A new node, and its new parts, at the place of an old one."""
-    return ast.fix_missing_locations(ast.copy_location(made, where))
+    return ast.fix_missing_locations(ast.copy_location(node, where))
 
 
 def _later(e: ast.expr) -> ast.expr:
-    given = ast.arguments([], [ast.arg(_OURS)], None, [], [], None, [ast.Constant(None)])
-    return ast.Lambda(given, e)
+    argument = ast.arguments([], [ast.arg(_OURS)], None, [], [], None, [ast.Constant(None)])
+    return ast.Lambda(argument, e)
 
 
 def _call(name: str, *args: ast.expr) -> ast.expr:

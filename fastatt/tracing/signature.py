@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from fastatt.tracing.nodes import RefusedError
 from fastatt.tracing.unknown import Unknown
+
+_NUMBERS = (Unknown, float, int, np.number, np.bool_)
 
 
 class Signature(NamedTuple):
@@ -60,12 +63,9 @@ class Signature(NamedTuple):
 
     def nested(self, numbers: Sequence[Any]) -> tuple[Any, ...]:
         """Numbers in a row as arguments."""
-        found: list[Any] = []
-        at = 0
-        for n in self.before:
-            found.append(tuple(numbers[at : at + n]) if n else numbers[at])
-            at += max(n, 1)
-        return (*found, tuple(numbers[at:]))
+        rest = iter(numbers)
+        before = [tuple(itertools.islice(rest, n)) if n else next(rest) for n in self.before]
+        return *before, tuple(rest)
 
     def in_a_row(self, result: Any) -> Sequence[Any]:
         """The numbers of a result; raises ``RefusedError`` for other ones."""
@@ -73,23 +73,19 @@ class Signature(NamedTuple):
         sizes = [self.results - states, states] if states else [self.results]
         is_row = isinstance(result, (tuple, list))
         parts = [result] if not states else list(result) if is_row else []
-        found = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
-        found = [[x[()] if type(x) is np.ndarray and not x.ndim else x for x in y] for y in found]
-        row, scalars = (
-            [x for part in found for x in part],
-            (Unknown, float, int, np.number, np.bool_),
-        )
+        parts = [list(x) if isinstance(x, (tuple, list)) or np.ndim(x) == 1 else [x] for x in parts]
+        row = [x[()] if type(x) is np.ndarray and not x.ndim else x for y in parts for x in y]
         crosses = self.call.startswith(("event(", "switch("))
         if crosses and any(isinstance(x, (bool, np.bool_)) for x in row):
             raise RefusedError(
                 "a result that is True or False, whose change has no time within a step; accepted: "
                 "a number that crosses zero, such as w[0] - 0.3 for w[0] > 0.3"
             )
-        if [*map(len, found)] != sizes or not all(isinstance(x, scalars) for x in row):
+        others = [type(x).__name__ for x in row if not isinstance(x, _NUMBERS)]
+        if [*map(len, parts)] != sizes or others:
             of = ""
             if isinstance(result, (tuple, list, np.ndarray)):
                 size = result.shape if isinstance(result, np.ndarray) else (len(result),)
-                others = [type(x).__name__ for x in row if not isinstance(x, scalars)]
                 of = f" of {size[0] if len(size) == 1 else size}"
                 of += f" with {others[0]}" if others else ""
             name = "float" if isinstance(result, Unknown) else type(result).__name__

@@ -16,11 +16,12 @@ from typing import Any
 
 from numba.extending import is_jitted
 
-from fastatt.tracing import functions, graph
+from fastatt.kernels import trig
+from fastatt.tracing import graph, native
 from fastatt.tracing.frozen import Freezer, check, guarded, plain
 from fastatt.tracing.graph import Recorded
 from fastatt.tracing.nodes import TraceError
-from fastatt.tracing.operations import OPERATIONS, own_type_of
+from fastatt.tracing.operations import KERNELS, OPERATIONS, own_type_of
 from fastatt.tracing.replacements import replaced
 from fastatt.tracing.rewriting import rewritten
 
@@ -54,9 +55,9 @@ def stand_in(value: Any) -> Any:
     is_module, is_plain = isinstance(value, types.ModuleType), isinstance(value, types.FunctionType)
     if is_plain and value.__module__.startswith(("fastatt.tracing", "numba")):
         return value
-    found = replaced(value) if is_module or callable(value) else None
-    if found is not None:
-        return found
+    known = replaced(value) if is_module or callable(value) else None
+    if known is not None:
+        return known
     if is_module:
         return Traceable(value.__name__)
     return _lazily(value) if is_plain or is_jitted(value) else value
@@ -66,7 +67,7 @@ def _lazily(function: Any) -> Callable[..., Any]:
     formula = functools.cache(lambda: traceable(function))
 
     def call(*args: Any, **named: Any) -> Any:
-        return formula()(*args, **named) if named else functions.called(formula(), function, args)
+        return formula()(*args, **named) if named else native.called(formula(), function, args)
 
     return call
 
@@ -85,10 +86,13 @@ def traceable(function: Any) -> Callable[..., Any]:
     function = plain(function)
     if not isinstance(function, types.FunctionType):
         raise TraceError(f"{function!r}, which is no Python function")
-    made = Freezer(stand_in, _SCOPE, _code).function(function)
-    return lambda *args, **named: guarded(function, lambda: made(*args, **named))
+    frozen = Freezer(stand_in, _SCOPE, _code).function(function)
+    return lambda *args, **named: guarded(function, lambda: frozen(*args, **named))
 
 
 def _code(function: types.FunctionType) -> types.CodeType:
     check(function, texts=False)
     return rewritten(function.__code__) or function.__code__
+
+
+KERNELS.update((kernel.__name__, stand_in(kernel)) for kernel in (trig.sincos, trig.atan2))

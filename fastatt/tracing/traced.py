@@ -53,9 +53,13 @@ def trace(
     """
     constants = "single" if set(flattened_forms(forms)) == {"single"} else "double"
     graph, places, numbers = Graph(widest, native=native), itertools.count(), list[Any]()
-    found = formula(*(_inputs(graph, form, places) for form in forms))
-    form = _result(found, constants, numbers)
-    precisions = ["double" if own == "truth" else own for own in flattened_forms((form,))]
+
+    def number(form: str) -> Any:
+        return graph.input(form, "x", next(places))
+
+    result = formula(*(assembled(form, number) for form in forms))
+    form = _result(result, constants, numbers)
+    precisions = ["double" if x == "truth" else x for x in flattened_forms((form,))]
     flat = Flat(graph, numbers, precision or precisions)
     asked = (
         node.args[1 if node.op == "in" else 0]
@@ -75,11 +79,12 @@ def flattened_forms(forms: Sequence[Any]) -> Iterator[str]:
             yield form
 
 
-def _inputs(graph: Graph, form: Any, places: Iterator[int]) -> Any:
+def assembled(form: Any, number: Callable[[str], Any]) -> Any:
+    """A value of a given form, of numbers that are made one by one from theirs."""
     if isinstance(form, Tuple):
-        parts = [_inputs(graph, part, places) for part in form.parts]
+        parts = [assembled(part, number) for part in form.parts]
         return tuple(parts) if form.cls is tuple else form.cls(*parts)
-    return graph.input(form, "x", next(places))
+    return number(form)
 
 
 def _result(x: Any, constants: str, numbers: list[Any]) -> Any:

@@ -35,13 +35,13 @@ class Arguments(NamedTuple):
     params: int
 
 
-def points(given: Arguments, params: Numbers | None, span: Any = (0.0, 10.0)) -> Numbers:
+def points(arguments: Arguments, params: Numbers | None, span: Any = (0.0, 10.0)) -> Numbers:
     """Arguments of usual sizes to try a function with, (n, numbers)."""
     rng, n = np.random.default_rng(8), _USUAL
     t = rng.uniform(span[0], span[1], (n, 1))
     t[0] = span[0]
-    q, v = rng.normal(size=(n, given.unit)), rng.normal(size=(n, given.others))
-    p = rng.uniform(0.5, 1.5, (n, given.params))
+    q, v = rng.normal(size=(n, arguments.unit)), rng.normal(size=(n, arguments.others))
+    p = rng.uniform(0.5, 1.5, (n, arguments.params))
     if params is not None and params.size:
         p = np.atleast_2d(params)[np.arange(n) * len(np.atleast_2d(params)) // n]
     return np.concatenate([t, _unit(q), v, p], axis=1)
@@ -51,16 +51,16 @@ def _unit(q: Numbers) -> Any:
     return q / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-300)
 
 
-def larger(given: Arguments, usual: Numbers) -> Numbers:
+def larger(arguments: Arguments, usual: Numbers) -> Numbers:
     """Arguments of sizes up to some thousands."""
-    x = many(Kept((), ()), given, usual)
+    x = many(Kept((), ()), arguments, usual)
     return x[_USUAL : 5 * _USUAL][np.arange(4 * _USUAL) % 4 < 3]
 
 
-def many(kept: Kept, given: Arguments, usual: Numbers) -> Numbers:
+def many(kept: Kept, arguments: Arguments, usual: Numbers) -> Numbers:
     """Arguments of many sizes, some of them numbers of the function: the usual ones, and others."""
     rng, n = np.random.default_rng(7), _POINTS
-    q, p = slice(1, 1 + given.unit), slice(1 + given.unit + given.others, None)
+    q, p = slice(1, 1 + arguments.unit), slice(1 + arguments.unit + arguments.others, None)
     constants = {float(node.args[0]) for node in kept.nodes if node.op == "const"}
     tables = [x for data in kept.tables.values() for x in data[:2]]
     known = [x for x in (*constants, *tables) if np.isfinite(x) and abs(x) < 1e15]
@@ -81,7 +81,7 @@ def many(kept: Kept, given: Arguments, usual: Numbers) -> Numbers:
 
 def check(
     followed: Followed,
-    given: Arguments,
+    arguments: Arguments,
     usual: Numbers,
     in_python: Callable[[Sequence[float]], Sequence[float]],
 ) -> None:
@@ -89,54 +89,54 @@ def check(
 
     ``in_python`` gives the results of a point, and raises what the user's function raises.
     """
-    x = many(followed.kept, given, usual)
+    x = many(followed.kept, arguments, usual)
     values = followed.kept.evaluate(x.T)
-    columns = [np.broadcast_to(values[i], len(x)) for i in followed.kept.results]
-    results = np.stack(columns, axis=-1).astype(float)
+    results = followed.kept.results_of(values, len(x))
     sides = _sides(followed, values, len(x))
-    possible = _possible(followed, given)
+    possible = _possible(followed, arguments)
     met = [np.flatnonzero(sides[key]) for key in possible]
     if not all(x.size for x in met):
         raise TraceError("a condition of which no trial met both sides")
     chosen = {*range(_FIRST), *(int(i) for x in met for i in (x[0], x[x.size // 2], x[-1]))}
     compared = [agrees(x[i], results[i], in_python) for i in sorted(chosen)]
-    # such as a division by a parameter that is given as 0
+    # such as a division by a parameter that is arguments as 0
     others = range(_USUAL, len(x))
     if not any(compared) and not any(agrees(x[i], results[i], in_python) for i in others):
         raise TraceError("an error in Python at every point where it was tried")
 
 
 @np.errstate(all="ignore")
-def _possible(followed: Followed, given: Arguments) -> set[tuple[int, bool]]:
+def _possible(followed: Followed, arguments: Arguments) -> set[tuple[int, bool]]:
     """The sides of conditions that numbers can meet, from the ranges of what is compared.
 
     On a path the answers before a condition narrow the ranges.
     """
     nodes, known, sides = followed.kept.nodes, dict[int, Range](), set()
-    needed = {at for path in followed.paths for at, _ in path}
+    needed = {condition for path in followed.paths for condition, _ in path}
     for k in reversed(range(len(nodes))):
         needed.update(operands(nodes[k]) if k in needed else ())
     for k in sorted(needed):
-        known[k] = _range(nodes[k], known, given)
+        known[k] = _range(nodes[k], known, arguments)
     for path in followed.paths:
         ranges = dict(known)
-        for at, answer in path:
-            low, high = _range(nodes[at], ranges, given)
+        for condition, answer in path:
+            op, _, numbers = nodes[condition]
+            low, high = _range(nodes[condition], ranges, arguments)
             if not low <= answer <= high:
                 break
-            sides.add((at, answer))
-            if nodes[at].op not in ("==", "!="):
-                is_less = (nodes[at].op in ("<", "<=")) == answer
-                below, above = nodes[at].args if is_less else nodes[at].args[::-1]
+            sides.add((condition, answer))
+            if op not in ("==", "!="):
+                is_less = (op in ("<", "<=")) == answer
+                below, above = numbers if is_less else numbers[::-1]
                 (low, most), (least, high) = ranges[below], ranges[above]
                 ranges[below], ranges[above] = (low, min(most, high)), (max(low, least), high)
     return {key for key in sides if key[0] in followed.conditions}
 
 
-def _range(node: Node, known: dict[int, Range], given: Arguments) -> Range:
+def _range(node: Node, known: dict[int, Range], arguments: Arguments) -> Range:
     """The smallest and the largest value of an operation; 0 is no and 1 is yes."""
     of = [known[i] for i in operands(node)]
-    if node.op == "in" and 0 < node.args[0] <= given.unit:
+    if node.op == "in" and 0 < node.args[0] <= arguments.unit:
         return -1.0, 1.0
     if node.op in ("const", "gather"):
         data = getattr(node.args[0], "data", node.args[0])
@@ -158,13 +158,13 @@ def _range(node: Node, known: dict[int, Range], given: Arguments) -> Range:
 
 def _sides(followed: Followed, values: Sequence[Any], n: int) -> dict[tuple[int, bool], Any]:
     """Where each side of each condition is met on the path that is taken."""
-    found: dict[tuple[int, bool], Any] = {}
+    sides: dict[tuple[int, bool], Any] = {}
     for path in followed.paths:
         here = np.ones(n, bool)
-        for at, answer in path:
-            here = here & (np.broadcast_to(values[at], n) == answer)
-            found[at, answer] = found.get((at, answer), False) | here
-    return found
+        for key in path:
+            here = here & (np.broadcast_to(values[key[0]], n) == key[1])
+            sides[key] = sides.get(key, False) | here
+    return sides
 
 
 def ending(function: Callable[..., Any]) -> Callable[..., Any]:

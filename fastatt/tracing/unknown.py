@@ -45,11 +45,11 @@ class Recorder:
 
     def add(self, op: str, *args: Any) -> int:
         """The number of an operation, which is added if it is new."""
-        n, at = len(self.nodes), self._graph.add(op, "", *args)
+        n, number = len(self.nodes), self._graph.add(op, "", *args)
         self._cost += _COSTS[op] * (len(self.nodes) - n)
         if self._cost > MOST_OPERATIONS:
             raise TraceError(f"more than {MOST_OPERATIONS} operations")
-        return at
+        return number
 
     def number(self, x: Any) -> int:
         """The number of the operation that gives x."""
@@ -77,9 +77,9 @@ class Recorder:
 
     def guard(self, op: str, a: Any, b: Any, error: type[Exception]) -> None:
         """Raise an error, as Python does, unless a comparison holds."""
-        at = self.add(op, self.number(a), self.number(b))
-        self.guards.add(at)
-        if not self.decide(at):
+        condition = self.add(op, self.number(a), self.number(b))
+        self.guards.add(condition)
+        if not self.decide(condition):
             raise error
 
     def unknown(self, op: str, *args: Any, whole: bool = False) -> Unknown:
@@ -88,15 +88,15 @@ class Recorder:
 
     def at(self, at: int, *, whole: bool = False) -> Unknown:
         """The number of an operation."""
-        made = object.__new__(Unknown)
-        made.recorder, made.at, made.whole = self, at, whole
-        return made
+        number = object.__new__(Unknown)
+        number.recorder, number.at, number.whole = self, at, whole
+        return number
 
     def choice(self, test: int, a: Any, b: Any) -> Unknown:
         """a if a condition holds, else b."""
         x, y = self.number(a), self.number(b)
-        at = x if x == y else self.add("select", test, x, y)
-        return self.at(at, whole=is_whole(a) and is_whole(b))
+        chosen = x if x == y else self.add("select", test, x, y)
+        return self.at(chosen, whole=is_whole(a) and is_whole(b))
 
     def choose(self, op: str, a: Any, b: Any, yes: Any, no: Any) -> Unknown:
         """``yes`` if a comparison holds, else ``no``."""
@@ -108,8 +108,8 @@ class Recorder:
 
     def look_up(self, table: Any, size: int, t: Any, row: Any) -> tuple[Unknown, ...]:
         """The numbers of a ``TimeSeries`` at t in a row."""
-        at = self.add("look", table, self.number(t), self.number(row))
-        return tuple(self.at(self.add("item", at, k)) for k in range(size))
+        look = self.add("look", table, self.number(t), self.number(row))
+        return tuple(self.at(self.add("item", look, k)) for k in range(size))
 
 
 def is_whole(x: Any) -> bool:
@@ -185,12 +185,8 @@ class Unknown:
 
     __rpow__ = _wanted("a known power")
 
-    def __neg__(self) -> Any:
-        return self.recorder.unknown("neg", self, whole=self.whole)
-
-    def __abs__(self) -> Any:
-        return self.recorder.unknown("abs", self, whole=self.whole)
-
+    __neg__ = lambda self: self.recorder.unknown("neg", self, whole=self.whole)  # noqa: E731
+    __abs__ = lambda self: self.recorder.unknown("abs", self, whole=self.whole)  # noqa: E731
     __divmod__ = lambda self, other: (self // other, self % other)  # noqa: E731
     __rdivmod__ = lambda self, other: (other // self, other % self)  # noqa: E731
 

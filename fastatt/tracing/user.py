@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks
 from fastatt._cached import cached_property
-from fastatt.tracing import frozen, functions, graph, trial
+from fastatt.tracing import frozen, graph, trial
 from fastatt.tracing.called import ENTRY, compiled, portable
 from fastatt.tracing.graph import Recorded
 from fastatt.tracing.kept import Kept
@@ -39,8 +39,8 @@ def user_function(function: Any, role: str, *others: Any, **named: Any) -> UserF
     Raises ``TypeError`` if it is not a function, is neither followed nor compiled, or does not
     return the right number of results.
     """
-    found = function if isinstance(function, UserFunction) else UserFunction(function)
-    return found.of(role, *others, **named)
+    held = function if isinstance(function, UserFunction) else UserFunction(function)
+    return held.of(role, *others, **named)
 
 
 class UserFunction:
@@ -54,11 +54,11 @@ class UserFunction:
 
     def __init__(self, function: Any) -> None:
         self.name, self._function = frozen.name_of(function), function
-        given = frozen.signature_of(function).parameters.values()
+        arguments = frozen.signature_of(function).parameters.values()
         #: names of the arguments without a default
-        self.required = tuple(x.name for x in given if x.default is x.empty)
+        self.required = tuple(x.name for x in arguments if x.default is x.empty)
         # defaults may have many lines
-        plain = (str(x.replace(default=x.empty, annotation=x.empty)) for x in given)
+        plain = (str(x.replace(default=x.empty, annotation=x.empty)) for x in arguments)
         self.called_as = f"{self.name}({', '.join(plain)})"
         self.argument, self.reason = "function", ""
         self.signature: Any = None
@@ -91,8 +91,8 @@ class UserFunction:
             if signature != self.signature:
                 raise TypeError(
                     f"{argument}: found {self!r}, made for {self.signature.call} with "
-                    f"{self.n_params} parameters; accepted: one for {signature.call} with "
-                    f"{n_params}"
+                    f"{self.signature.n_params} parameters; accepted: one for {signature.call} "
+                    f"with {n_params}"
                 )
             return self
         if not isinstance(frozen.inner_of(self._function), python.FunctionType):
@@ -141,7 +141,8 @@ class UserFunction:
         except RefusedError as error:
             raise TypeError(f"{self.argument}: found {self.described} with {error}") from None
         except TraceError as error:
-            p = f"of {self.n_params} numbers" if self.n_params else "empty, without params"
+            n = self.signature.n_params
+            p = f"of {n} numbers" if n else "empty, without params"
             raise TypeError(
                 f"{self.argument}: {self.described}, p {p}, is not followed: {self.reason}; and "
                 f"not compiled: {error}; accepted: a function that is followed, or that numba.njit "
@@ -149,11 +150,11 @@ class UserFunction:
             ) from None
 
     def _follow(self, params: NDArray[np.float64] | None) -> None:
-        found = follow(self._function, self.signature)
-        spans = [x.span for x in found.kept.tables if hasattr(x, "span")]
+        followed = follow(self._function, self.signature)
+        spans = [x.span for x in followed.kept.tables if hasattr(x, "span")]
         self.usual = trial.points(self._arguments, params, *spans[:1])
-        trial.check(found, self._arguments, self.usual, self._in_python())
-        self.kept = found.kept
+        trial.check(followed, self._arguments, self.usual, self._in_python())
+        self.kept = followed.kept
 
     def _compile(self, params: NDArray[np.float64] | None) -> None:
         """Compile the function; it may not give numbers nowhere, or others than Python."""
@@ -164,9 +165,9 @@ class UserFunction:
         if not any(compared):
             raise TraceError("an error in Python at every point where it was tried")
         for x in trial.larger(self._arguments, self.usual):
-            made = np.array(self(*x))
-            if not np.isnan(made).all():  # whole numbers end earlier than in Python
-                trial.agrees(x, made, in_python)
+            results = np.array(self(*x))
+            if not np.isnan(results).all():  # whole numbers end earlier than in Python
+                trial.agrees(x, results, in_python)
 
     def _in_python(self) -> Callable[[Sequence[float]], Sequence[float]]:
         """The results of the user's own function at a point."""
@@ -186,7 +187,7 @@ class UserFunction:
     @cached_property
     def read_params(self) -> frozenset[int]:
         """Indices of the parameters on which its results depend, where it is tried."""
-        x, n = self._tried, self.n_params
+        x, n = self._tried, self.signature.n_params
         results, depends = self._gives(x), set()
         for k in range(n):
             other = x.copy()
@@ -202,14 +203,11 @@ class UserFunction:
             return np.array(self.usual)
         return trial.many(self.kept, self._arguments, self.usual)
 
-    @np.errstate(all="ignore")
     def _gives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Its results at points, (n, results)."""
         if self.kept is None:
             return np.array([self(*point) for point in x])
-        values = self.kept.evaluate(x.T)
-        columns = [np.broadcast_to(values[i], len(x)) for i in self.kept.results]
-        return np.stack(columns, axis=-1).astype(float)
+        return self.kept.results_of(self.kept.evaluate(x.T), len(x))
 
     def __repr__(self) -> str:
         if self._function is not None:
@@ -255,24 +253,9 @@ class UserFunction:
         return compiled(self.code, self.signature)
 
     @property
-    def results(self) -> int:
-        """How many numbers it gives."""
-        return int(self.signature.results)
-
-    @property
-    def count(self) -> int:
-        """How many numbers its arguments have."""
-        return int(self.signature.size)
-
-    @property
-    def n_params(self) -> int:
-        """How many of them are its parameters."""
-        return int(self.signature.n_params)
-
-    @property
     def _arguments(self) -> trial.Arguments:
-        unit = 4 * (", q," in self.signature.call)
-        return trial.Arguments(unit, self.count - 1 - unit - self.n_params, self.n_params)
+        unit, n = 4 * (", q," in self.signature.call), self.signature.n_params
+        return trial.Arguments(unit, self.signature.size - 1 - unit - n, n)
 
     def nested(self, numbers: Sequence[Any]) -> tuple[Any, ...]:
         """Numbers in a row as arguments."""
@@ -294,16 +277,16 @@ class UserFunction:
         like = next((x for x in numbers if isinstance(x, Recorded)), None)
         if self.kept is not None:
             with graph.strictly(numbers):
-                found = tuple(self.kept.replay(numbers))
+                results = tuple(self.kept.replay(numbers))
         elif like is None:
-            found = self(*numbers)
+            results = self(*numbers)
         else:
-            found = functions.opaque(self, self.results, numbers, like)  # type: ignore[arg-type]
-        return found if self.results > 1 else found[0]
+            results = graph.opaque(self, self.signature.results, numbers, like)  # type: ignore[arg-type]
+        return results if len(results) > 1 else results[0]
 
     def __call__(self, *numbers: float) -> tuple[float, ...]:
         """The result of the compiled function, for all its arguments' numbers in a row."""
-        given = (ctypes.c_double * max(1, len(numbers)))(*numbers)
-        made = (ctypes.c_double * self.results)()
-        ENTRY(self.address)(given, made)
-        return tuple(made)
+        arguments = (ctypes.c_double * max(1, len(numbers)))(*numbers)
+        results = (ctypes.c_double * self.signature.results)()
+        ENTRY(self.address)(arguments, results)
+        return tuple(results)

@@ -11,7 +11,7 @@ from each import each
 from fastatt.codegen import rows as module
 from fastatt.codegen.processor import processor
 from fastatt.codegen.rows import RowFunction, rows
-from fastatt.tracing import formulas, functions, graph
+from fastatt.tracing import formulas, graph
 
 RNG = np.random.default_rng(5)
 LANES = {kind: processor().lanes(kind) for kind in ("double", "single")}
@@ -112,7 +112,7 @@ def test_threads_change_nothing(kind):
 
 
 class Opaque:
-    """What ``functions.opaque`` calls, written here in Python."""
+    """What ``graph.opaque`` calls, written here in Python."""
 
     name = "swap"
 
@@ -156,8 +156,8 @@ def test_opaque_functions_and_tables():
     swap = Opaque()
 
     def looked_up(x):
-        a, b = functions.opaque(swap, 2, (x[0], x[1]), x[0])
-        return a, b, *functions.row(3, x[2], 1), *functions.row(5, x[2], 1)
+        a, b = graph.opaque(swap, 2, (x[0], x[1]), x[0])
+        return a, b, *graph.row(3, x[2], 1), *graph.row(5, x[2], 1)
 
     made = RowFunction(looked_up, {"x": 3}, (2, 2))
     tables = {5: np.arange(10)[::-1], 3: np.arange(10.0) ** 2}
@@ -175,7 +175,7 @@ def test_successive_numbers_of_a_table(kind):
     counts = (1, 2, 3, 7, 12, 19)
 
     def looked_up(k):
-        return [functions.row(0, graph.Double(k), n) for n in counts]
+        return [graph.row(0, graph.Double(k), n) for n in counts]
 
     made = RowFunction(looked_up, {"k": None}, counts, kind)
     k = RNG.integers(0, 80, 70)

@@ -18,7 +18,7 @@ from oracle import EPS
 
 from fastatt.codegen.scalar import scalar_function
 from fastatt.kernels import quat as kernels
-from fastatt.tracing import dual, functions, graph, operations
+from fastatt.tracing import dual, graph, operations
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import axpy, quat, rigid, scale, so3
 from fastatt.tracing.graph import Graph
@@ -206,7 +206,7 @@ TABLE = np.array([3.0, 5.0, 7.0])
 
 def looked_up(x):
     k = graph.apply("floor", x)
-    return functions.row(0, k, 1)[0] * x
+    return graph.row(0, k, 1)[0] * x
 
 
 def test_tables_stay_where_machine_code_reads_them():
@@ -257,7 +257,7 @@ MACHINE = Machine()
 
 def opaque(x, y):
     a, b = dual.seed((x, y), 2)
-    u, v = functions.opaque(MACHINE, 2, (a, b), x)
+    u, v = graph.opaque(MACHINE, 2, (a, b), x)
     return dual.value(u), dual.derivatives(u, 2), dual.derivatives(v * a, 2)
 
 

@@ -12,7 +12,7 @@ import pytest
 from each import each
 from oracle import EPS, quat_exp, right_jacobian
 
-from fastatt.tracing import functions, graph, nodes, operations, source
+from fastatt.tracing import graph, nodes, operations, source
 from fastatt.tracing.dual import derivatives, seed, value
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.formulas import dcm, free_body, kernels, quat, rigid, so3, trig
@@ -250,7 +250,7 @@ def test_of_what_is_opaque_differences(lanes):
     function = Opaque()
 
     def outer(x, y, z):
-        u, v = functions.opaque(function, 2, (x * y, y, 2.0), z.value)
+        u, v = graph.opaque(function, 2, (x * y, y, 2.0), z.value)
         return u * z, v
 
     made = Graph(lanes)
@@ -273,7 +273,7 @@ def test_tables_are_asked_by_values():
     made = Graph()
     (x,) = seed((made.input("double", "x"),), 1)
     k = graph.apply("floor", x)
-    slope = derivatives((x - k) * functions.row(0, k, 1)[0], 1)
+    slope = derivatives((x - k) * graph.row(0, k, 1)[0], 1)
     found = source.function(Flat(made, slope, "double"), tables={0: np.array([3.0, 5.0, 7.0])})
     assert found(1.25) == (5.0,)
 

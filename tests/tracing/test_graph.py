@@ -20,8 +20,7 @@ from fastatt.codegen.modules import generated
 from fastatt.codegen.processor import processor
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
-from fastatt.tracing.functions import larger
-from fastatt.tracing.graph import Double, Graph, choose, flattened
+from fastatt.tracing.graph import Double, Graph, choose, flattened, larger
 from fastatt.tracing.nodes import TraceError, operands
 from fastatt.tracing.trace import traceable
 

@@ -72,7 +72,7 @@ def opaque_energy(t, q, p):
 
 def inputs(graph, made, kind="double"):
     """Recorded arguments."""
-    return made.nested(graph.inputs(kind, "x", made.count))
+    return made.nested(graph.inputs(kind, "x", made.signature.size))
 
 
 def values_of(made, *given):
