@@ -32,7 +32,6 @@ on_representatives = pytest.mark.parametrize(("method", "increments"), REPRESENT
 BODIES = generic(3)
 START3 = np.broadcast_to(START, (3, 4))
 SPAN = 2.0
-END = BODIES.attitude(0.0, SPAN)
 attitude_at = functools.cache(lambda t: BODIES.attitude(0.0, t))
 
 
@@ -57,17 +56,22 @@ def same(a, b):
 # orders
 
 
+def error_at_end(t, dt, method, increments):
+    q = integrate(samples(BODIES, t, increments), dt, START3, method, increments)
+    return angle(q[:, -1], attitude_at(t[-1])).max()
+
+
+@pytest.mark.parametrize("more", [0, 1])
 @on_samples
-def test_observed_order_with_equal_intervals(method, increments):
-    """At the end of whole windows: 12 intervals and multiples of 6 hold a whole number of each."""
+def test_observed_order_with_equal_intervals(method, increments, more):
+    """Of whole windows, and where the last one borrows from samples before or beyond."""
+    ladder = LADDER if more else LADDER[LADDER >= 12]  # multiples of 6
+    assert more or not (ladder % fa.METHODS[method].window.span).any()
 
     def error(n):
-        assert n % fa.METHODS[method].window.span == 0
-        data = samples(BODIES, np.linspace(0.0, SPAN, n + 1), increments)
-        q = integrate(data, SPAN / n, START3, method, increments)
-        return angle(q[:, -1], END).max()
+        return error_at_end(SPAN / n * np.arange(n + 1 + more), SPAN / n, method, increments)
 
-    found = observed_order(error, ladder=LADDER[LADDER >= 12])
+    found = observed_order(error, ladder=ladder)
     assert found == pytest.approx(declared(method, increments), abs=0.25)
 
 
@@ -89,26 +93,11 @@ def test_observed_order_with_uneven_intervals(method, increments, pattern):
         for _ in range(1 if pattern == "alternate" else 5):
             spans = np.resize([0.7, 1.3], n) if pattern == "alternate" else rng.uniform(0.7, 1.3, n)
             t = np.concatenate([[0.0], np.cumsum(spans * SPAN / spans.sum())])
-            data = samples(BODIES, t, increments)
-            q = integrate(data, np.diff(t), START3, method, increments)
-            logs.append(np.log(angle(q[:, -1], END).max()))
+            logs.append(np.log(error_at_end(t, np.diff(t), method, increments)))
         return math.exp(np.mean(logs))
 
     above = observed_order(error) - UNEVEN.get(method, declared(method, increments))
     assert -0.25 < above < (0.25 if pattern == "alternate" else 1.25)
-
-
-@on_samples
-def test_observed_order_when_the_log_ends_within_a_window(method, increments):
-    """6k + 1 intervals: the last window borrows from samples before or beyond."""
-
-    def error(n):
-        h = SPAN / n
-        data = samples(BODIES, h * np.arange(n + 2), increments)
-        q = integrate(data, h, START3, method, increments)
-        return angle(q[:, -1], attitude_at(SPAN + h)).max()
-
-    assert observed_order(error) == pytest.approx(declared(method, increments), abs=0.25)
 
 
 # known figures
@@ -182,32 +171,21 @@ def test_one_log_is_the_plain_product_of_its_turns(n, increments):
     assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 24 * 6 * EPS
 
 
-@pytest.mark.parametrize("dtype", ["f8", "f4"])
-@on_representatives
-def test_threads_change_no_bit(method, increments, dtype):
-    """Of more logs than a tile of 16, with equal intervals and others."""
-    data = (LOG.reshape(40, 500, 3) * (0.01 if increments else 1.0)).astype(dtype)
-    spans = np.random.default_rng(6).uniform(0.009, 0.011, 500 - (not increments))
-    for dt in (0.01, spans):
-        alone, *others = (
-            integrate(data, dt, START, method, increments, n_threads=k) for k in (1, 2, 3)
-        )
-        assert alone.dtype == dtype
-        assert all(same(alone, other) for other in others)
-
-
 @on_representatives
 @pytest.mark.parametrize("dtype", ["f8", "f4"])
-def test_lanes_are_single_logs_bit_for_bit(method, increments, dtype):
-    """One a lane, and ten chunks of one side by side; some past π, which leaves neighbours."""
+@pytest.mark.parametrize("uneven", [False, True])
+def test_lanes_and_threads_change_no_bit(method, increments, dtype, uneven):
+    """One log a lane, and ten chunks of one side by side; some past π, which leaves neighbours."""
     data = (0.02 * LOG).reshape(40, 500, 3).astype(dtype)
     data[::7, 300:] *= 4.0 if method == "picard" else 200.0  # whose polynomial must not diverge
-    q0 = np.random.default_rng(0).normal(size=(40, 4))
-    options = {"method": method, "increments": increments}
-    for n_logs in (1, 3, 16, 40):
-        batch = fa.integrate_rates(data[:n_logs], 1.0, q0[:n_logs], **options)
-        for b in range(n_logs):
-            assert same(batch[b], fa.integrate_rates(data[b], 1.0, q0[b], **options))
+    rng = np.random.default_rng(0)
+    q0, dt = rng.normal(size=(40, 4)), 1.0
+    if uneven:
+        dt = rng.uniform(0.9, 1.1, 500 - (not increments))
+    alone = [integrate(x, dt, q, method, increments) for x, q in zip(data, q0, strict=True)]
+    for n_logs, n_threads in ((1, 1), (3, 1), (16, 1), (40, 1), (40, 2), (40, 3)):
+        batch = integrate(data[:n_logs], dt, q0[:n_logs], method, increments, n_threads=n_threads)
+        assert all(map(same, batch, alone))
 
 
 def inner(method, turn):

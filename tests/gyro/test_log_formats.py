@@ -245,12 +245,6 @@ def of_gyro(head, more=None):
     return text_of(times | dict(zip(head, W.T.tolist(), strict=True)) | (more or {}))
 
 
-def test_revolutions_or_radians_and_words_in_brackets_take_a_unit():
-    for names in ("gyro_{} (rps)", "gyro_{} (filtered)"):
-        head = [names.format(axis) for axis in "xyz"]
-        assert np.array_equal(fa.read_gyro_log(of_gyro(head), unit="rad/s").rates, W)
-
-
 def test_an_argument_that_agrees_with_the_names_changes_nothing():
     plain = fa.read_gyro_log(of_gyro(GYRO))
     options = {"unit": "rad/s", "time_unit": "s", "rate": 100.0, "values": "samples"}
@@ -266,74 +260,66 @@ def test_a_rate_in_place_of_the_stamps_of_packets():
     assert len(fa.read_gyro_log(stamped, rate=200.0).t) == 19400
 
 
-def test_columns_that_are_said_may_have_any_name():
-    head = [f"gyro_world_{axis} (rad/s)" for axis in "xyz"]
-    assert np.array_equal(fa.read_gyro_log(of_gyro(head), columns=head).rates, W)
+NAMES = (
+    "imu0_gyro_{}", "GyroCal_{}", "mpu6050_gyro_{}", "left_thigh_gyr_{}", "gyroFilt_{}",
+    "bodyRate{}", "motionRotationRate{}", "gyroRotation{}", "omega_{}", "/imu/gyro/{}",
+    "Angular Velocity {}", "turn_rate_{}",
+)  # fmt: skip
 
 
 @each(
-    "names",
+    ("names", "options"),
     [
-        "imu0_gyro_{}", "GyroCal_{}", "mpu6050_gyro_{}", "left_thigh_gyr_{}", "gyroFilt_{}",
-        "bodyRate{}", "motionRotationRate{}", "gyroRotation{}", "omega_{}", "/imu/gyro/{}",
-        "Angular Velocity {}", "turn_rate_{}",
+        *((name + " (rad/s)", {}) for name in NAMES),
+        # revolutions or radians, and words in brackets, take a unit
+        *((name, RAD) for name in ("gyro_{} (rps)", "gyro_{} (filtered)")),
+        # columns that are said may have any name
+        ("world_{} (rad/s)", {"columns": [f"world_{axis} (rad/s)" for axis in "XYZ"]}),
     ],
-)  # fmt: skip
-def test_names_of_body_rates(names):
-    head = [names.format(axis) + " (rad/s)" for axis in "XYZ"]
-    assert np.array_equal(fa.read_gyro_log(of_gyro(head)).rates, W)
+)
+def test_names_of_body_rates(names, options):
+    head = [names.format(axis) for axis in "XYZ"]
+    assert np.array_equal(fa.read_gyro_log(of_gyro(head), **options).rates, W)
 
 
-def with_sensor(names, values=A):
-    return of_gyro(
-        GYRO, {names.format(a): x for a, x in zip("XYZ", values.T.tolist(), strict=True)}
-    )
+def with_sensor(names):
+    values = zip("XYZ", A.T.tolist(), strict=True)
+    return fa.read_gyro_log(of_gyro(GYRO, {names.format(a): x for a, x in values}))
 
 
 @each(
     ("names", "scale"),
     [
-        ("acc_{} (m/s^2)", 1.0),
-        ("acc_{}_mps2", 1.0),
-        ("acc_{}_m/s2", 1.0),
-        ("acc_{}_m_s2", 1.0),
-        ("acc_{}_ms2", 1.0),
-        ("Acc{} (m/s/s)", 1.0),
-        ("a_RS_S_{} [m s^-2]", 1.0),
-        ("acc_{} [cm/s^2]", 1e-2),
-        ("acc_{} [mm/s²]", 1e-3),
-        ("Accelerometer {} (g)", 9.80665),
+        ("acc_{} (m/s^2)", 1.0), ("acc_{}_mps2", 1.0), ("acc_{}_m/s2", 1.0), ("acc_{}_m_s2", 1.0),
+        ("acc_{}_ms2", 1.0), ("Acc{} (m/s/s)", 1.0), ("a_RS_S_{} [m s^-2]", 1.0),
+        ("acc_{} [cm/s^2]", 1e-2), ("acc_{} [mm/s²]", 1e-3), ("Accelerometer {} (g)", 9.80665),
         ("acc_{}_mg", 9.80665e-3),
         # iOS has the opposite sign: SensorLog
         ("accelerometerAcceleration{}(G)", -9.80665),
     ],
-)
+)  # fmt: skip
 def test_an_accelerometer_is_specific_force_in_si(names, scale):
     """By the unit that its columns are named with, whatever their size."""
-    log = fa.read_gyro_log(with_sensor(names))
+    log = with_sensor(names)
     assert np.allclose(log.accel, scale * A, rtol=4e-16, atol=0.0)
     assert "; accelerometer in " in log.summary
 
 
+OTHERS = (
+    "geomagnetic_Rotation_Vector_{} (uT)", "FreeAcc_{} [m/s^2]", "motionUserAcceleration{}(G)",
+    "Linear Acceleration {} (m/s^2)", "linear_acceleration_{} [m/s^2]", "dynamic_acc_{} [m/s^2]",
+    "motion_acc_{} [m/s^2]", "acc_world_{} [m/s^2]",
+)  # fmt: skip
+UNNAMED = ("Mag_{}", "Magnetometer {} (a.u.)", "Acc_{}", "acc_{} [m/s]")
+
+
 @each(
     ("names", "why"),
-    [
-        ("geomagnetic_Rotation_Vector_{} (uT)", "of another quantity"),
-        ("Mag_{}", "without a unit"),
-        ("Magnetometer {} (a.u.)", "without a unit"),
-        ("FreeAcc_{} [m/s^2]", "of another quantity"),
-        ("motionUserAcceleration{}(G)", "of another quantity"),
-        ("Linear Acceleration {} (m/s^2)", "of another quantity"),
-        ("linear_acceleration_{} [m/s^2]", "of another quantity"),
-        ("Acc_{}", "without a unit"),
-        ("acc_{} [m/s]", "without a unit"),
-        ("dynamic_acc_{} [m/s^2]", "of another quantity"),
-        ("motion_acc_{} [m/s^2]", "of another quantity"),
-        ("acc_world_{} [m/s^2]", "of another quantity"),
-    ],
+    [(name, "of another quantity") for name in OTHERS]
+    + [(name, "without a unit") for name in UNNAMED],
 )
 def test_what_is_no_specific_force_and_no_magnetic_field_is_left_out(names, why):
-    log = fa.read_gyro_log(with_sensor(names))
+    log = with_sensor(names)
     assert log.accel is None
     assert log.mag is None
     word = "magnetometer" if "mag" in names.lower() else "accelerometer"
@@ -355,7 +341,7 @@ def test_columns_of_other_sensors_are_named():
 @each("unit", ["uT", "µT", "nT", "T", "gauss", "mG", "g"])
 def test_a_magnetometer_is_in_the_unit_of_the_log(unit):
     for names in (f"mag_{{}}_{unit}", f"Magnetometer {{}} ({unit})"):
-        assert np.array_equal(fa.read_gyro_log(with_sensor(names)).mag, A)
+        assert np.array_equal(with_sensor(names).mag, A)
 
 
 @each("name", ["T", "T (degC)", "T [°C]", "t [C]"])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact import EPS, START, angle, attitude, mul
+from each import each
+from exact import START, angle, attitude, mul
 from numpy.polynomial import legendre
 
 import fastatt as fa
 from fastatt.methods.picard import METHOD, SPAN
 
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 LIMITS = {False: METHOD.limits["rates"], True: METHOD.limits["increments"]}
 KINDS = pytest.mark.parametrize("increments", [False, True])
 
@@ -43,7 +43,7 @@ def collocated(data, spans, increments):
     # slopes k_i = (1 + Σ_j a_ij k_j) W_i
     system = np.eye(4 * SPAN) - np.einsum("ij,ilm->imjl", to_nodes, half).reshape(24, 24)
     slopes = np.linalg.solve(system, half[:, 0].ravel()).reshape(SPAN, 4)
-    q = IDENTITY + legendre.legvander(2.0 * t / t[-1] - 1.0, SPAN) @ integrals @ slopes
+    q = (1.0, 0.0, 0.0, 0.0) + legendre.legvander(2.0 * t / t[-1] - 1.0, SPAN) @ integrals @ slopes
     return q / np.linalg.norm(q, axis=1, keepdims=True), np.abs(w).max()
 
 
@@ -72,29 +72,20 @@ def rounding(rate):
 
 @KINDS
 @pytest.mark.parametrize("kind", ["cone", "noise", "signs"])
-@pytest.mark.parametrize("share", [0.1, 0.9, 1.0])
-@pytest.mark.parametrize("dtype", ["f8", "f4"])
-def test_passes_go_on_until_round_off(increments, kind, share, dtype):
-    """Up to the limits, of samples without any smoothness too."""
+@each("share", [0.1, 0.9, 1.0])
+@each(("dtype", "uneven"), [("f8", 0.0), ("f4", 0.0), ("f8", 0.3)])
+def test_passes_go_on_until_round_off(increments, kind, share, dtype, uneven):
+    """Up to the limits, of samples without any smoothness too; of uneven intervals below them."""
     rng = np.random.default_rng(int(1e3 * share))
     eps = np.finfo(dtype).eps
-    size = share * LIMITS[increments]
+    size = share * LIMITS[increments] * (1.0 - uneven)
     data = np.stack([window(kind, size, increments, rng) for _ in range(8)]).astype(dtype)
-    found = fa.integrate_rates(data, 1.0, method="picard", increments=increments)
+    spans = rng.uniform(1.0 - uneven, 1.0 + uneven, SPAN)
+    dt = spans if uneven else 1.0
+    found = fa.integrate_rates(data, dt, method="picard", increments=increments)
     for q, v in zip(found, data, strict=True):
-        expected, rate = collocated(v.astype(float), np.ones(SPAN), increments)
+        expected, rate = collocated(v.astype(float), spans, increments)
         assert np.abs(q - expected).max() <= rounding(rate) * eps
-
-
-@KINDS
-@pytest.mark.parametrize("kind", ["cone", "noise"])
-def test_passes_over_uneven_intervals(increments, kind):
-    rng = np.random.default_rng(3)
-    spans = rng.uniform(0.7, 1.3, SPAN)
-    data = window(kind, 0.4, increments, rng)
-    q = fa.integrate_rates(data, spans, method="picard", increments=increments)
-    expected, rate = collocated(data, spans, increments)
-    assert np.abs(q - expected).max() <= rounding(rate) * EPS
 
 
 # the ends of logs

@@ -8,6 +8,7 @@ import re
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ CUTS = {
 }
 
 
-def streamed(rates, dt, cuts, q0=START, **options):
+def streamed(rates, dt, cuts, q0, **options):
     """All that comes out of a log cut into pieces, the integrator pickled between two of them."""
     uneven = np.ndim(dt) > 0
     flow = fa.GyroIntegrator(q0, None if uneven else dt, **options)
@@ -50,35 +51,34 @@ def streamed(rates, dt, cuts, q0=START, **options):
     return np.concatenate([*found, flow.close()], axis=-2)
 
 
-@each("cuts", CUTS)
-@each(("method", "increments"), SAMPLED)
-def test_pieces_are_the_whole_log(method, increments, cuts):
-    data = LOG[0, : sum(CUTS[cuts])] * (0.02 if increments else 1.0)
-    options = {"method": method, "increments": increments}
-    whole = fa.integrate_rates(data, 0.02, START, **options)
-    found = streamed(data, 0.02, CUTS[cuts], **options)
-    assert found.shape == whole.shape
-    assert found.tobytes() == whole.tobytes()
+CASES = [
+    *product(SAMPLED, CUTS, ("even",), ((1, "f8"),)),
+    *product(
+        (("trapezoid", False), *REPRESENTATIVES), ("singly", "in pieces"), ("uneven", "gaps"),
+        ((1, "f8"), (3, "f4"), (20, "f8")),
+    ),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("method", "increments"), [("trapezoid", False), *REPRESENTATIVES])
-@pytest.mark.parametrize("cuts", ["singly", "in pieces"])
-@pytest.mark.parametrize("gaps", [False, True], ids=["even", "gaps"])
-@each(("n_bodies", "dtype"), [(1, "f8"), (3, "f4"), (20, "f8")])
-def test_pieces_with_intervals_given_along(method, increments, cuts, gaps, n_bodies, dtype):
-    """Of many bodies; windows begin anew where those of the whole log do."""
+@each(("way", "cuts", "intervals", "bodies"), CASES)
+def test_pieces_are_the_whole_log(way, cuts, intervals, bodies):
+    """Of many bodies too; windows begin anew where those of the whole log do."""
+    (method, increments), (n_bodies, dtype) = way, bodies
     cuts = CUTS[cuts]
     n = sum(cuts)
     rng = np.random.default_rng(1)
     data = (LOG[:n_bodies, :n] * (0.02 if increments else 1.0)).astype(dtype)
-    spans = rng.uniform(0.015, 0.025, n - (not increments))
-    if gaps:
-        spans[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 1e-6, 1e-4, 0.12, 0.2]
     q0 = rng.normal(size=(n_bodies, 4))
+    dt = rng.uniform(0.015, 0.025, n - (not increments))
+    if intervals == "even":
+        data, q0, dt = data[0], q0[0], 0.02
+    if intervals == "gaps":
+        dt[[3, 40, 41, 48, 100, 126]] = [0.1, 0.15, 1e-6, 1e-4, 0.12, 0.2]
     options = {"method": method, "increments": increments, "max_gap": 1.0}
-    whole = fa.integrate_rates(data, spans, q0, **options)
-    found = streamed(data, spans, cuts, q0, **options)
+    whole = fa.integrate_rates(data, dt, q0, **options)
+    found = streamed(data, dt, cuts, q0, **options)
     assert found.dtype == dtype
+    assert found.shape == whole.shape
     assert found.tobytes() == whole.tobytes()
 
 
@@ -211,13 +211,11 @@ def test_what_comes_out_is_the_users_own():
     ],
 )
 def test_refused_samples_leave_all_as_it_was(rates, dt, message):
-    flows = [fa.GyroIntegrator(START, method="hold", max_gap=np.inf) for _ in range(2)]
-    if "gap" in message:
-        flows = [fa.GyroIntegrator(START, method="hold", max_gap=0.15) for _ in range(2)]
+    max_gap = 0.15 if "gap" in message else np.inf
+    flows = [fa.GyroIntegrator(START, method="hold", max_gap=max_gap) for _ in range(2)]
     for flow in flows:
         flow.push([0.1, 0.2, 0.3])
-    if "overflow" in message:
-        for flow in flows:
+        if "overflow" in message:
             flow.push(rates, 0.1)
     with pytest.raises(ValueError, match=re.escape(message)):
         flows[0].push(rates, dt)

@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from each import each
 from exact import EPS, LENGTHY, START, angle, exp, mul
 
 import fastatt as fa
@@ -71,7 +70,12 @@ EVERY = [
     for m in methods_for(scene(), stepped=True)
     if m not in LENGTHY
 ]
-every_method = each(("kind", "method"), EVERY)
+# one of each kind of steps: stages, turns, an implicit equation
+OFTEN = ("rk8", "strang2", "kahan_li8", "dmv10")
+every_method = pytest.mark.parametrize(
+    ("kind", "method"),
+    [pytest.param(*x, marks=[] if x[1] in OFTEN else pytest.mark.slow) for x in EVERY],
+)
 
 
 def run(scene, q0=Q0, w0=W0, method="rk4", representation="quat", n=STEPS, h=H, **options):
