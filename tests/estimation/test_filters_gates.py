@@ -1,8 +1,10 @@
-"""What filters do with measurements that are wrong or missing."""
+"""What filters do with measurements that are wrong, missing, or in other units; their arrays."""
 
 from __future__ import annotations
 
 import copy
+import math
+import pickle
 import warnings
 
 import numpy as np
@@ -11,6 +13,7 @@ import scipy
 from each import each
 from exact import START, angle, exp, matrix, mul
 
+import fastatt as fa
 from fastatt import estimation as es
 
 P0 = np.diag([0.05**2] * 3 + [1e-3**2] * 3)
@@ -223,8 +226,7 @@ def test_gyro_samples_that_are_not_finite_are_held(copied):
     f.predict(then, 0.1)
     good.predict(np.stack([w, bias, w, w]), 0.1)
     good.predict(np.stack([2.0 * w, bias, 2.0 * w, w]), 0.1)
-    for a, b in zip(state(f), state(good), strict=True):
-        assert np.array_equal(a, b)
+    assert all(map(np.array_equal, state(f), state(good)))
     f.predict([np.nan] * 3, 0.1)
     good.predict(np.stack([2.0 * w, bias, 2.0 * w, w]), 0.1)
     assert np.array_equal(f.q, good.q)
@@ -254,3 +256,168 @@ def test_the_mean_of_sigma_points_is_where_their_errors_cancel(size):
     assert begun > 0.01
     # a step is out by the second-order term of Jr⁻¹, |d|²/12
     assert left <= begun * ((errors**2).sum(axis=1).max() / 12.0) ** 2
+
+
+# what is refused, and what is not
+
+
+def test_attitudes_of_any_length():
+    for f in (es.covariance_to_inertial, es.covariance_to_body):
+        assert np.array_equal(f(P0, 4.0 * START), f(P0, START))
+    rest = es.preintegrate(np.ones((2, 3)), np.ones((2, 3)), 0.1)
+    doubled, same = (rest.predict(k * START, np.ones(3), np.ones(3)) for k in (2.0, 1.0))
+    assert all(np.array_equal(a, b) for a, b in zip(doubled, same, strict=True))
+
+
+def test_of_a_direction_without_variance():
+    """NEES is 0 or beyond all bounds, and never below 0."""
+    f = es.UKF(START, np.zeros(3), np.diag([1e-2] * 3 + [1e-6, 1e-6, 0.0]))
+    assert 0.0 <= f.nees(START, np.zeros(3)) <= 1e-27
+    assert f.nees(START, [1e-3, 0.0, 0.0]) == pytest.approx(1.0, rel=1e-12)
+    assert f.nees(START, [0.0, 0.0, 1e-3]) == np.inf
+    f.predict(es.gyro_motion((0.1, 0.2, 0.3), 0.1), np.zeros((6, 6)))
+    assert f.covariance[5, 5] == 0.0
+    values = np.random.default_rng(0).normal(size=(100, 6, 4))
+    rounded = es.UKF(np.tile(START, (100, 1)), np.zeros(3), values @ np.swapaxes(values, 1, 2))
+    assert (rounded.nees(START, [1.0, 2.0, 3.0]) >= 0.0).all()
+
+
+def test_a_refused_noise_leaves_a_ukf_as_it_was():
+    f, moved = filters("UKF"), []
+
+    def motion(q, y):
+        moved.append(q)
+        return q, y + 1.0
+
+    before = state(f)
+    refused = (
+        lambda: f.predict(motion, -np.eye(6)),
+        lambda: f.predict(motion, np.eye(5)),
+        lambda: f.update(lambda q, y: y, np.ones(3), -np.eye(3)),
+        lambda: f.update(lambda q, y: y, np.ones(3), np.zeros((3, 3))),
+        lambda: f.update(lambda q, y: y[:-1], np.ones(3), np.eye(3)),
+        lambda: f.predict(lambda q, y: (q, y[:, :2]), P0),
+        lambda: f.predict(lambda q, y: (0.0 * q, y), P0),
+    )
+    for call in refused:
+        with pytest.raises(ValueError, match=r"(noise|observe|motion: [qy]).*accepted"):
+            call()
+    assert not moved
+    assert all(map(np.array_equal, before, state(f)))
+
+
+def test_quaternions_that_a_motion_gives_may_have_any_length():
+    f, same = filters("UKF"), filters("UKF")
+    f.predict(lambda q, y: (3.0 * q, y), P0)
+    same.predict(lambda q, y: (q, y), P0)
+    assert np.abs(np.linalg.norm(f.q, axis=-1) - 1.0).max() <= 1e-15
+    assert np.abs(f.q - same.q).max() <= 1e-15
+
+
+def test_a_measurement_without_a_finite_nis_is_no_success():
+    """Of numbers that overflow, where what is not finite is to be refused."""
+    for kind in ("MEKF", "UKF"):
+        f = filters(kind)
+        before = f.q.copy()
+        with (
+            np.errstate(over="ignore", invalid="ignore"),
+            pytest.raises(ValueError, match=r"measured\[0\]: has a normalised innovation"),
+        ):
+            f.update_vector([1e200, 0.0, 0.0], DOWN, 0.1)
+        assert np.array_equal(f.q, before)
+
+
+# arrays
+
+RNG = np.random.default_rng(0)
+GYRO, ACCEL = RNG.normal(size=(2, 3, 7, 3))
+
+
+def filtered(n):
+    f = es.MEKF(np.tile(START, (n, 1)), P0, **NOISE)
+    f.predict(GYRO[0, 0], 0.1)
+    f.update_vector(GYRO[0, 1], ACCEL[0, 0], 0.1)
+    f.update_attitude(START, 0.2)
+    return f.q, f.bias, f.covariance
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda f: pickle.loads(pickle.dumps(f))])
+@pytest.mark.parametrize("n", [None, 20])
+def test_a_copy_of_a_filter_has_arrays_of_its_own(copied, n):
+    q = START if n is None else np.tile(START, (n, 1))
+    f = es.MEKF(q, P0, **NOISE)
+    f.predict(GYRO[0, 0], 0.1)
+    g = copied(f)
+    before = f.q.copy()
+    g.predict(GYRO[0, 1], 0.1)
+    assert (f.q == before).all()
+    f.predict(GYRO[0, 1], 0.1)
+    assert (f.q == g.q).all()
+    assert not (f.q == before).all()
+
+
+def test_what_an_update_gives_is_not_changed_by_the_next():
+    f = es.MEKF(np.tile(START, (3, 1)), np.eye(6), angle_noise=0.1, bias_noise=0.1)
+    first = f.update_attitude(START, 0.1)
+    kept = first.copy()
+    f.update_attitude((1.0, 0.0, 0.0, 0.0), 0.1)
+    assert (first == kept).all()
+
+
+def test_many_filters_are_the_filters_alone():
+    """Vectors of filters and single ones, by every operation, to the bit."""
+    for many, one in zip(filtered(9), filtered(1), strict=True):
+        assert (many == one).all()
+
+
+# angles, and vectors of other units than their references
+
+VARIANCE = 0.02**2
+
+
+def heading(q, y):
+    """Of the first body axis, in (−π, π], rad."""
+    ahead = fa.quat_rotate(q, (1.0, 0.0, 0.0))
+    return np.arctan2(ahead[:, 1], ahead[:, 0])[:, None]
+
+
+def both(q, y):
+    """A heading in degrees, and a number that is no angle."""
+    return np.concatenate([np.degrees(heading(q, y)), 100.0 + y[:, :1]], axis=1)
+
+
+def updated(yaw, observe, noise, period, measured):
+    q = fa.rotation_vector_to_quat([0.0, 0.0, yaw])
+    ukf = es.UKF(q, np.zeros(3), np.diag([1e-6, 1e-6, 0.05**2, 1e-8, 1e-8, 1e-8]))
+    nis = ukf.update(observe, measured, noise, period=period)
+    back = fa.quat_multiply(np.asarray(q) * (1, -1, -1, -1), ukf.q)
+    return fa.quat_to_rotation_vector(back)[2], math.sqrt(ukf.covariance[2, 2]), nis
+
+
+@each("yaw", np.radians([0.0, 90.0, 170.0, 177.0, 179.9, 180.0, -179.9, -177.0]))
+def test_a_heading_is_corrected_alike_everywhere(yaw):
+    """By a Kalman filter of one angle: gain P/(P + R)."""
+    seen = math.remainder(yaw + 0.01, 2.0 * math.pi)
+    gain = 0.05**2 / (0.05**2 + VARIANCE)
+    found = updated(yaw, heading, [[VARIANCE]], 2.0 * math.pi, [seen])
+    np.testing.assert_allclose(found[0], 0.01 * gain, rtol=1e-4)
+    np.testing.assert_allclose(found[1], math.sqrt((1.0 - gain) * 0.05**2), rtol=1e-4)
+    np.testing.assert_allclose(found[2], 0.01**2 / (0.05**2 + VARIANCE), rtol=1e-4)
+    noise = np.diag([math.degrees(0.02) ** 2, 1.0])
+    other = updated(yaw, both, noise, (360.0, math.inf), [math.degrees(seen), 100.0])
+    np.testing.assert_allclose(other, found, rtol=1e-6)
+
+
+@each("filtered", ("MEKF", "UKF"))
+@each("scale", (2.1, 47.0, 1.0 / 47.0, 0.4))
+def test_vectors_in_another_unit_than_their_references(filtered, scale):
+    q = [[1.0, 0.0, 0.0, 0.0]] * 2
+    if filtered == "UKF":
+        made = es.UKF(q, np.zeros((2, 3)), np.eye(6) * 1e-4)
+    else:
+        made = es.MEKF(q, np.eye(6) * 1e-4, angle_noise=1e-4, bias_noise=1e-6)
+    reference = np.array([0.45, 0.0, 0.893])
+    made.update_vector([reference] * 2, reference, 0.02)
+    made.update_vector([1.9 * reference] * 2, reference, 0.02)
+    with pytest.warns(RuntimeWarning, match=r"measured: found a vector of length .* \(filter 1\)"):
+        made.update_vector([reference, scale * reference], reference, 0.02)

@@ -126,7 +126,7 @@ def test_other_axes_and_an_inertial_rate():
     assert gap(one_by_one(stepper, 0, 3, START), traj.q[-1]) == 0.0
 
 
-@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("shared", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_float32(shared):
     scene = MOTION.shared if shared else MOTION.scene
     stepper = fa.single_step(scene, method="magnus4", dtype="float32")

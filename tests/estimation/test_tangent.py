@@ -1,6 +1,7 @@
-"""Derivatives of methods' steps against differences of the steps themselves, and identities."""
+"""Derivatives of steps and of whole runs against differences of them, and identities."""
 
 import math
+from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -192,7 +193,7 @@ TOP = fa.Scene(inertia=MOMENTS, torque=fa.torques.HeavyTop(WEIGHT[:3], WEIGHT[3]
 )
 def test_parameters_in_an_array(scene, start):
     """As a row of one; of an array that is too short nothing is read beyond it."""
-    made = estimation.step_tangent(scene)
+    made = estimation.step_tangent(scene, method="rk4")
     step, p = made.step, np.array(made.params)
 
     @njit
@@ -231,3 +232,104 @@ def test_of_a_torque_that_cannot_be_traced_differences():
     )
     assert np.abs(looped.w - traced.w).max() <= 4 * EPS
     assert 0.0 < np.abs(looped.matrix - traced.matrix).max() <= 1e-9 * H
+
+
+# whole runs
+
+# its torque turns with time
+TURNING = fa.Scene(inertia=MOMENTS, torque=fa.torques.GravityGradient(0.5))
+W = np.array([0.2, -0.3, 0.6])
+RUN = {"dt": 0.2, "n_steps": 20, "method": "strang2", "t0": 0.3}
+NEAR = 2e-3
+
+
+def around(*steps):
+    """Initial conditions of a body and of its neighbours at these distances."""
+    d = np.vstack([np.zeros((1, 6)), *(displaced(6, step) for step in steps)])
+    return fa.quat_multiply(Q, fa.rotation_vector_to_quat(d[:, :3])), W + d[:, 3:] / MOMENTS
+
+
+def changes(run):
+    """Of the neighbours' last states from the body's."""
+    q, m = run.q[-1], run.w[-1] * MOMENTS
+    return np.hstack([attitude_errors(q[0], q[1:]), m[1:] - m[0]])
+
+
+@pytest.fixture(scope="module")
+def found():
+    """A run, its neighbours, and others twice as far."""
+    return estimation.run_tangent(TURNING, *around(NEAR, 2.0 * NEAR), **RUN)
+
+
+def test_it_is_the_derivative_of_the_run(found):
+    run, tangent = found
+    change = changes(run)
+    near, far = derivative(change[:24], NEAR), derivative(change[24:], 2.0 * NEAR)
+    # truncation falls by 16; rounding is that of 20 steps
+    bound = np.abs(far - near).max() / 15.0 + 400 * EPS / NEAR
+    assert bound < 1e-9
+    assert np.abs(tangent.matrix[0] - near).max() <= bound
+
+
+def test_it_is_the_derivative_where_steps_change_the_length_that_a_torque_reads():
+    """Large steps of rk4, which loses some of the quaternion's length."""
+    options = {"dt": 0.5, "n_steps": 20, "method": "rk4"}
+    run, tangent = estimation.run_tangent(TOP, *around(NEAR), **options)
+    assert np.abs(run.norm_error[-1]).min() > 1e-4
+    near = derivative(changes(run), NEAR)
+    assert np.abs(tangent.matrix[0] - near).max() <= 1e-7 * np.abs(near).max()
+
+
+def test_the_run_is_that_of_propagate_and_its_first_step_that_of_body_tangent(found):
+    run, tangent = found
+    plain = fa.propagate(TURNING, Q, W, **RUN)
+    assert fa.angle_between(plain.q[-1], run.q[-1, 0]) <= 8 * EPS
+    first = estimation.body_tangent(TURNING, Q, W, 0.2, t0=0.3, method="strang2")
+    assert np.abs(tangent.steps[0, 0, :6, :6] - first.matrix).max() <= 8 * EPS
+
+
+def test_tangent_and_adjoint_are_transposed(found):
+    """⟨A x, y⟩ = ⟨x, Aᵀ y⟩, of each body, to the rounding of 20 products."""
+    _, tangent = found
+    x, y = np.random.default_rng(0).normal(size=(2, 49, 6))
+    after, before = tangent.tangent(x), tangent.adjoint(y)
+    assert np.abs((after * y).sum(axis=1) - (x * before).sum(axis=1)).max() <= 1000 * EPS
+    assert np.abs(after - (tangent.matrix @ x[..., None])[..., 0]).max() <= 1000 * EPS
+    assert tangent.adjoint(np.ones(6)).shape == (49, 6)
+
+
+def test_of_one_body_and_of_no_step():
+    run, tangent = estimation.run_tangent(TURNING, Q, W, **RUN)
+    assert run.q.shape == (21, 4)
+    assert tangent.matrix.shape == (6, 6)
+    assert tangent.tangent(np.eye(6)).shape == (6, 6)
+    _, none = estimation.run_tangent(TURNING, Q, W, **(RUN | {"n_steps": 0}))
+    assert (none.matrix == np.eye(6)).all()
+
+
+def test_of_a_gyro_log():
+    """Its bias moves the last attitude as the product of the transitions says."""
+    h, rates = 0.1, np.random.default_rng(4).normal(size=(12, 3))
+    transitions = estimation.sample_transitions(rates, h, method="coning2")
+    tangent = estimation.RunTangent(transitions.matrix)
+    moved = rates - displaced(3, NEAR)[:, None]
+    last = fa.integrate_rates(np.concatenate([rates[None], moved]), h, method="coning2")[:, -1]
+    true = derivative(attitude_errors(last[0], last[1:]), NEAR)
+    assert np.abs(tangent.matrix[:3, 3:] - true).max() <= NEAR**4 / 30 + 100 * EPS / NEAR
+
+
+def test_breakpoints_are_refused():
+    """Derivatives are those of whole steps."""
+
+    def pulse(t, q, w, p):
+        return (0.1 if t < 1.0 else 0.0), 0.0, 0.0
+
+    table = fa.TimeSeries([0.0, 1.0, 5.0], np.eye(3), kind="linear")
+    run = partial(estimation.run_tangent, q0=Q, w0=W, method="rk4")
+    of_table = fa.Scene(inertia=MOMENTS, torque=fa.torques.Constant(table))
+    declared = fa.Scene(inertia=MOMENTS, torque=pulse, breakpoints=(1.0,))
+    run(of_table, dt=0.25, n_steps=8)
+    run(declared, dt=0.25, n_steps=3)
+    for scene, dt in ((of_table, 0.3), (declared, 0.25)):
+        with pytest.raises(ValueError, match=r"^scene: found breakpoints, or times of a table"):
+            run(scene, dt=dt, n_steps=8)

@@ -320,9 +320,14 @@ def test_windows_begin_anew_at_cuts(method, increments, n_logs):
         assert same(fa.integrate_rates(data[0], spans, START, **options), q[0])
 
 
-@pytest.mark.parametrize("method", ["previous", "coning2", "picard"])
+# noise of a body at rest, which polynomials through samples may magnify
+
+of_polynomials = pytest.mark.parametrize("method", ["previous", "coning2", "picard"])
+
+
+@of_polynomials
 def test_a_gap_does_not_magnify_noise(method):
-    """Samples of a body at rest: over a gap of 0.5 s a few hundredths of a millirad."""
+    """Over a gap of 0.5 s a few hundredths of a millirad."""
     spans = np.full(120, 0.01)
     spans[60] = 0.5
     noise = 1e-4 * np.random.default_rng(5).normal(size=(50, 121, 3))
@@ -330,6 +335,34 @@ def test_a_gap_does_not_magnify_noise(method):
     turned = angle(q[:, 60], q[:, 61])
     # the mean of two samples: σ h √(3/2) on three axes
     assert np.sqrt(np.mean(turned**2)) == pytest.approx(0.5e-4 * math.sqrt(1.5), rel=0.2)
+
+
+def magnified(method, noise, spans, increments=False):
+    """How many times as far as a method without polynomials."""
+    methods = method, "hold" if increments else "trapezoid"
+    options = {"increments": increments, "max_gap": 1.0}
+    far, straight = (fa.integrate_rates(noise, spans, method=m, **options) for m in methods)
+    return angle(far, straight).max() / angle(straight, straight[:1]).max()
+
+
+@of_polynomials
+@pytest.mark.parametrize("increments", KINDS)
+def test_samples_that_nearly_coincide_do_not_magnify_noise(method, increments):
+    """The noise of a gyro or the resolution of its angle."""
+    rng = np.random.default_rng(8)
+    for short, at in ((4e-6, 300), (2e-7, 1), (5e-5, -1), (1e-9, slice(40, 600, 9))):
+        times = np.arange(601) / 150.0
+        times[at] = times[np.arange(601)[at] - 1] + short
+        noise = rng.normal(0.0, 2e-5 if increments else 3e-3, (601 - increments, 3))
+        assert magnified(method, noise, np.diff(times), increments) < 4.0
+
+
+@of_polynomials
+def test_random_latencies_do_not_magnify_noise(method):
+    rng = np.random.default_rng(9)
+    for latency in (rng.exponential(3e-3, 3001), rng.uniform(0.0, 0.02, 3001)):
+        spans = np.diff(np.sort(np.arange(3001) / 100.0 + latency))
+        assert magnified(method, rng.normal(0.0, 2e-3, (3001, 3)), spans) < 3.0
 
 
 def test_cuts_are_those_of_the_medians():
