@@ -18,6 +18,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -28,6 +29,7 @@ from fastatt.propagation.ensemble import Ensemble
 from fastatt.trade.ladder import largest_angle, see
 from fastatt.trade.measure import Case, Problem, machine_line
 from fastatt.trade.reference import Reference, largest_rotation, reference
+from fastatt.trade.timing import once, time_in_turns
 from fastatt.trade.work_precision import cases_of
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
@@ -155,10 +157,9 @@ def error(problem: Problem, case: Case, n: int, known: Reference) -> float:
     return math.inf if seen.flagged.any() else float(apart)
 
 
-def once(problem: Problem, case: Case, n: int) -> float:
-    begin = perf_counter()
-    problem.run(case, n)
-    return perf_counter() - begin
+def seconds_of(problem: Problem, case: Case, n: int) -> float:
+    """The shorter of two runs' times."""
+    return min(once(partial(problem.run, case, n))[0] for _ in range(2))
 
 
 def steps(first: float, k: int) -> int:
@@ -173,7 +174,7 @@ def least(
     """The least number of steps on a fine ladder that meets the tolerance, and its time."""
     method = case.record
     if not method.order:
-        return (1, once(problem, case, 1)) if error(problem, case, 1, known) <= tol else None
+        return (1, seconds_of(problem, case, 1)) if error(problem, case, 1, known) <= tol else None
     turn = largest_rotation(problem)
     constant = problem.ensemble.scene.is_constant and method.exact_for_constant
     first = 1.0 if constant else max(1.0, turn / 3.0)
@@ -182,7 +183,7 @@ def least(
         n = steps(first, k)
         if error(problem, case, n, known) <= tol:
             break
-        if min(once(problem, case, n) for _ in range(2)) > SLOWER * best or n > 3e6:
+        if seconds_of(problem, case, n) > SLOWER * best or n > 3e6:
             return None
         low, k = k, k + 6
     high = k
@@ -191,7 +192,7 @@ def least(
         good = error(problem, case, steps(first, k), known) <= tol
         low, high = (low, k) if good else (k, high)
     n = steps(first, high)
-    return n, min(once(problem, case, n) for _ in range(3))
+    return n, seconds_of(problem, case, n)
 
 
 def sweep(
@@ -208,17 +209,6 @@ def sweep(
             found.append((result[1], case, result[0]))
             best = min(best, result[1])
     return sorted(found, key=lambda item: item[0])
-
-
-def side_by_side(problem: Problem, runs: list[tuple[Case, int]], seconds: float) -> list[float]:
-    """Shortest times of runs that take turns, in any order: each finds other caches."""
-    times = [math.inf] * len(runs)
-    order = np.random.default_rng(0)
-    begin = perf_counter()
-    while perf_counter() - begin < seconds or math.inf in times:
-        for i in order.permutation(len(runs)):
-            times[i] = min(times[i], once(problem, *runs[i]))
-    return times
 
 
 def trial(
@@ -240,10 +230,11 @@ def trial(
     case = chosen.case
     true = error(problem, case, chosen.n_steps, known)
     # a scene that needs 10^6 steps would be swept for hours
-    bound = min(once(problem, case, chosen.n_steps) for _ in range(2)) if true <= tol else math.inf
+    bound = seconds_of(problem, case, chosen.n_steps) if true <= tol else math.inf
     best = sweep(problem, tol, known, bound, methods)[:3]
     runs = [(case, chosen.n_steps), *[(c, n) for _, c, n in best]]
-    own, *others = side_by_side(problem, runs, seconds)
+    calls = [partial(problem.run, *run) for run in runs]
+    own, *others = (times.least for times in time_in_turns(calls, budget=seconds))
     i = int(np.argmin(others)) if others else -1
     return Trial(
         number=number,

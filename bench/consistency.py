@@ -27,15 +27,14 @@ NO_NOISE = {"angle_noise": 0.0, "bias_noise": 0.0}
 Update = Callable[[es.MEKF | es.UKF, int, np.random.Generator], object]
 
 
-def reference(k: int, apart: float) -> np.ndarray:
-    return np.array([np.cos(apart * (k % 2)), np.sin(apart * (k % 2)), 0.0])
-
-
-def vectors(sigma: float, apart: float) -> Update:
+def vectors(sigma: float, apart: float, *, as_function: bool = False) -> Update:
     def update(f: es.MEKF | es.UKF, k: int, rng: np.random.Generator) -> None:
-        r = reference(k, apart)
+        r = np.array([np.cos(apart * (k % 2)), np.sin(apart * (k % 2)), 0.0])
         seen = fa.quat_rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
-        f.update_vector(seen, r, sigma)
+        if as_function:
+            f.update(lambda q, y: fa.quat_rotate_inverse(q, r), seen, sigma**2 * np.eye(3))
+        else:
+            f.update_vector(seen, r, sigma)
 
     return update
 
@@ -49,16 +48,6 @@ def attitudes(*sigma: float) -> Update:
     return update
 
 
-def observed(sigma: float, apart: float) -> Update:
-    def update(f: es.MEKF | es.UKF, k: int, rng: np.random.Generator) -> None:
-        assert isinstance(f, es.UKF)
-        r = reference(k, apart)
-        seen = fa.quat_rotate_inverse(TRUTH, r) + rng.normal(0.0, sigma, (len(f.q), 3))
-        f.update(lambda q, y: fa.quat_rotate_inverse(q, r), seen, sigma**2 * np.eye(3))
-
-    return update
-
-
 RIGHT, OBLIQUE = np.pi / 2, np.radians(40.0)
 CASES: dict[str, tuple[type, Update]] = {
     "MEKF, vectors of 1e-2 rad": (es.MEKF, vectors(1e-2, RIGHT)),
@@ -66,8 +55,8 @@ CASES: dict[str, tuple[type, Update]] = {
     "MEKF, vectors of 1e-4 rad, 40°": (es.MEKF, vectors(1e-4, OBLIQUE)),
     "UKF, vectors of 1e-2 rad, 40°": (es.UKF, vectors(1e-2, OBLIQUE)),
     "MEKF, attitudes of 1e-3 and 1e-2 rad": (es.MEKF, attitudes(1e-3, 1e-3, 1e-2)),
-    "`UKF.update`, vectors of 1e-2 rad": (es.UKF, observed(1e-2, RIGHT)),
-    "`UKF.update`, vectors of 1e-3 rad": (es.UKF, observed(1e-3, RIGHT)),
+    "`UKF.update`, vectors of 1e-2 rad": (es.UKF, vectors(1e-2, RIGHT, as_function=True)),
+    "`UKF.update`, vectors of 1e-3 rad": (es.UKF, vectors(1e-3, RIGHT, as_function=True)),
 }
 
 

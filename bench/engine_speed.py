@@ -14,6 +14,7 @@ import os
 import sys
 import time
 import warnings
+from functools import partial
 
 import numpy as np
 
@@ -47,97 +48,56 @@ MOMENTS = (2.0, 1.0, 2.0 / 3.0)
 FREE = fa.Scene(inertia=MOMENTS)
 TICKS = np.linspace(-1.0, 200.0, 2000)
 CUBIC = fa.TimeSeries(TICKS, np.sin(np.outer(TICKS, (1.0, 0.7, 0.4))))
-#: what keeps tapes
-SCENES = [FREE]
+BROKEN = fa.Scene(
+    inertia=MOMENTS, torque=fan, params=(0.2, 0.1), breakpoints=np.arange(1.005, 600.0)
+)
+SAMPLED = fa.Scene(
+    inertia=MOMENTS, torque=fa.torques.SampledControl(fa.torques.Custom(damp), period=0.1)
+)
+ONE_TIME = fa.Scene(rate=lambda t, p: CUBIC(t))
+OWN_TIMES = fa.Scene(rate=lambda t, p: CUBIC(t + p[0]), params=RNG.uniform(0.0, 1.0, (8192, 1)))
+SCENES = FREE, BROKEN, SAMPLED, ONE_TIME, OWN_TIMES
+DEFAULTS = {"dt": 0.01, "method": "rk4", "n_threads": 1}
 
 
 def cases():
     """(name, body-steps, function) of each row."""
-    many, one = ensemble(8192), ensemble(1)
-    for method, n in (("rk4", 2000), ("rkmk4", 1000), ("kahan_li8", 300), ("rk8", 500)):
-        yield (
-            f"8192 bodies, {method}", 8192 * n,
-            lambda m=method, n=n: fa.propagate(
-                FREE, *many, dt=0.01, n_steps=n, method=m, n_threads=1
-            ),
-        )  # fmt: skip
-    single = [x.astype(np.float32) for x in many]
-    yield (
-        "8192 bodies, rk8, float32", 8192 * 500,
-        lambda: fa.propagate(FREE, *single, dt=0.01, n_steps=500, method="rk8", n_threads=1),
-    )  # fmt: skip
-    yield (
-        "8192 bodies, rk4, every step saved", 8192 * 100,
-        lambda: fa.propagate(
-            FREE, *many, dt=0.01, n_steps=100, method="rk4", save_every=1, n_threads=1
+    many, one, crowd = ensemble(8192), ensemble(1), ensemble(100_000)
+    single, some, magnus = [x.astype(np.float32) for x in many], many[:1], {"method": "magnus4"}
+    instants = {"n_steps": None, "save_at": np.sort(RNG.uniform(0.0, 10.0, 100))}
+    dense = {"n_steps": None, "save_at": np.sort(RNG.uniform(0.0, 1000.0, 10_000))}
+    memory, event = {"s0": (0.0, 0.0, 0.0), "dt": 0.03}, {"events": [fa.event(height)], "dt": 0.05}
+    rows = (
+        ("8192 bodies, rk4", FREE, many, 2000, {}),
+        ("8192 bodies, rkmk4", FREE, many, 1000, {"method": "rkmk4"}),
+        ("8192 bodies, kahan_li8", FREE, many, 300, {"method": "kahan_li8"}),
+        ("8192 bodies, rk8", FREE, many, 500, {"method": "rk8"}),
+        ("8192 bodies, rk8, float32", FREE, single, 500, {"method": "rk8"}),
+        ("8192 bodies, rk4, every step saved", FREE, many, 100, {"save_every": 1}),
+        ("8192 bodies, 100 save_at times", FREE, many, 1000, instants),
+        ("one body, one step", FREE, one, 1, {}),
+        ("one body, plain", FREE, one, 100_000, {}),
+        ("one body, 10^5 saves", FREE, one, 100_000, {"save_every": 1}),
+        ("one body, 10^4 save_at times", FREE, one, 100_000, dense),
+        ("one body, a breakpoint every second", BROKEN, one, 60_000, {}),
+        ("one body, a controller sampled at 10 Hz", SAMPLED, one, 20_000, memory),
+        ("10^5 bodies, exact, one save", FREE, crowd, 100, {"method": "exact"}),
+        ("10^5 bodies, an event", FREE, crowd, 200, event),
+        ("8192 bodies, magnus4, a table at one time", ONE_TIME, some, 1000, magnus),
+        (
+            "8192 bodies, magnus4, a table at own times",
+            OWN_TIMES,
+            some,
+            1000,
+            {"method": "magnus4"},
         ),
-    )  # fmt: skip
-    moments = np.sort(RNG.uniform(0.0, 10.0, 100))
-    yield (
-        "8192 bodies, 100 save_at times", 8192 * 1000,
-        lambda: fa.propagate(FREE, *many, dt=0.01, save_at=moments, method="rk4", n_threads=1),
-    )  # fmt: skip
-    yield (
-        "one body, one step",
-        1, lambda: fa.propagate(FREE, *one, dt=0.01, n_steps=1, method="rk4"),
-    )  # fmt: skip
+    )
     plan = fa.plan(FREE, 1, dt=0.01, n_steps=1, method="rk4")
-    yield "one body, one step of a plan", 1, lambda: plan(*one)
-    for name, every in (("plain", None), ("10^5 saves", 1)):
-        yield (
-            f"one body, {name}", 100_000,
-            lambda every=every: fa.propagate(
-                FREE, *one, dt=0.01, n_steps=100_000, save_every=every, method="rk4", n_threads=1
-            ),
-        )  # fmt: skip
-    times = np.sort(RNG.uniform(0.0, 1000.0, 10_000))
-    yield (
-        "one body, 10^4 save_at times", 100_000,
-        lambda: fa.propagate(FREE, *one, dt=0.01, save_at=times, method="rk4", n_threads=1),
-    )  # fmt: skip
-    broken = fa.Scene(
-        inertia=MOMENTS, torque=fan, params=(0.2, 0.1), breakpoints=np.arange(1.005, 600.0)
-    )
-    SCENES.append(broken)
-    yield (
-        "one body, a breakpoint every second", 60_000,
-        lambda: fa.propagate(broken, *one, dt=0.01, n_steps=60_000, method="rk4", n_threads=1),
-    )  # fmt: skip
-    sampled = fa.Scene(
-        inertia=MOMENTS,
-        torque=fa.torques.SampledControl(fa.torques.Custom(damp), period=0.1),
-    )
-    SCENES.append(sampled)
-    yield (
-        "one body, a controller sampled at 10 Hz", 20_000,
-        lambda: fa.propagate(
-            sampled, *one, s0=(0.0, 0.0, 0.0), dt=0.03, n_steps=20_000, method="rk4", n_threads=1
-        ),
-    )  # fmt: skip
-    crowd = ensemble(100_000)
-    yield (
-        "10^5 bodies, exact, one save", 100_000 * 100,
-        lambda: fa.propagate(FREE, *crowd, dt=0.01, n_steps=100, method="exact", n_threads=1),
-    )  # fmt: skip
-    event = fa.event(height)
-    yield (
-        "10^5 bodies, an event", 100_000 * 200,
-        lambda: fa.propagate(
-            FREE, *crowd, dt=0.05, n_steps=200, method="rk4", events=[event], n_threads=1
-        ),
-    )  # fmt: skip
-    cone = fa.Scene(rate=lambda t, p: CUBIC(t))
-    some = ensemble(8192)[0]
-    yield (
-        "8192 bodies, magnus4, a table at one time", 8192 * 1000,
-        lambda: fa.propagate(cone, some, dt=0.01, n_steps=1000, method="magnus4", n_threads=1),
-    )  # fmt: skip
-    shifts = RNG.uniform(0.0, 1.0, (8192, 1))
-    own = fa.Scene(rate=lambda t, p: CUBIC(t + p[0]), params=shifts)
-    yield (
-        "8192 bodies, magnus4, a table at own times", 8192 * 1000,
-        lambda: fa.propagate(own, some, dt=0.01, n_steps=1000, method="magnus4", n_threads=1),
-    )  # fmt: skip
+    yield "one body, one step of a plan", 1, partial(plan, *one)
+    for name, scene, start, n_steps, options in rows:
+        bodies = 1 if start[0].ndim == 1 else len(start[0])
+        options = {**DEFAULTS, "n_steps": n_steps, **options}
+        yield name, bodies * n_steps, partial(fa.propagate, scene, *start, **options)
 
 
 def least_time(run, repeats, prepare=lambda: None):

@@ -2,9 +2,9 @@
 
 The state is (q, w/2), which has the fewest products, or q alone where the rate is given. Parameters
 of a body are the factors of Euler's equations and, in the potential of a heavy top, those of its
-torque, or half the size of a push; of coning, the sizes and the frequency of half the rate. With
-three wheels along the axes half their momenta follow the state, and the inverse moments and half
-the motors' torques the factors.
+torque, half the size of a push, or those of the gravity gradient in a circular orbit; of coning,
+the sizes and the frequency of half the rate. With three wheels along the axes half their momenta
+follow the state, and the inverse moments and half the motors' torques the factors.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-FREE, TOP, PUSHED, CONING, WHEELS = "free", "top", "pushed", "coning", "wheels"
-N_STATE = {FREE: 7, TOP: 7, PUSHED: 7, CONING: 4, WHEELS: 10}
+FREE, TOP, PUSHED, ORBIT = "free", "top", "pushed", "orbit"
+CONING, WHEELS = "coning", "wheels"
+N_STATE = {FREE: 7, TOP: 7, PUSHED: 7, ORBIT: 7, CONING: 4, WHEELS: 10}
 # products of two functions of time, sines among them: what a Taylor series pays for
-N_PRODUCTS = {FREE: 15, TOP: 19, PUSHED: 18, CONING: 10, WHEELS: 21}
+N_PRODUCTS = {FREE: 15, TOP: 19, PUSHED: 18, ORBIT: 35, CONING: 10, WHEELS: 21}
 
 
 def turn(q: Any, x: Any, y: Any, z: Any) -> Any:
@@ -56,6 +57,20 @@ def slope(
         spin = (p[0] * (y[5] * y[6]), p[1] * (y[6] * y[4]), p[2] * (y[4] * y[5]) + p[3] * (s * s))
         return turned(y, y[4], y[5], y[6]) + spin
 
+    def orbit(t, y, p):
+        c, s = cos(p[4] * t), sin(p[4] * t)
+        o = (  # the radial direction in body axes
+            c * (1.0 - 2.0 * (y[2] * y[2] + y[3] * y[3])) + 2.0 * s * (y[1] * y[2] + y[0] * y[3]),
+            2.0 * c * (y[1] * y[2] - y[0] * y[3]) + s * (1.0 - 2.0 * (y[1] * y[1] + y[3] * y[3])),
+            2.0 * (c * (y[1] * y[3] + y[0] * y[2]) + s * (y[2] * y[3] - y[0] * y[1])),
+        )
+        spin = (
+            p[0] * (y[5] * y[6] - p[3] * (o[1] * o[2])),
+            p[1] * (y[6] * y[4] - p[3] * (o[2] * o[0])),
+            p[2] * (y[4] * y[5] - p[3] * (o[0] * o[1])),
+        )
+        return turned(y, y[4], y[5], y[6]) + spin
+
     def coning(t, y, p):
         return turned(y, -p[0] * sin(p[1] * t), p[0] * cos(p[1] * t), -p[2])
 
@@ -67,7 +82,9 @@ def slope(
         )
         return turned(y, y[4], y[5], y[6]) + spin + (p[6], p[7], p[8])
 
-    functions = {FREE: free, TOP: top, PUSHED: pushed, CONING: coning, WHEELS: wheels}
+    functions = {
+        FREE: free, TOP: top, PUSHED: pushed, ORBIT: orbit, CONING: coning, WHEELS: wheels,
+    }  # fmt: skip
     return compiled(functions[kind])
 
 
@@ -81,6 +98,11 @@ def of_body(inertia: np.ndarray, *, potential: bool = False) -> np.ndarray:
 def of_push(inertia: np.ndarray) -> np.ndarray:
     """Parameters (4,) of a body whose third rate is pushed by 0.25 sin² t, rad/s²."""
     return np.append(of_body(inertia), 0.125)
+
+
+def of_orbit(inertia: np.ndarray, mean_motion: float) -> np.ndarray:
+    """Parameters (5,) of a body in a circular orbit, whose mean motion is in rad/s."""
+    return np.append(of_body(inertia), [0.75 * mean_motion**2, mean_motion])
 
 
 def of_wheels(inertia: np.ndarray) -> np.ndarray:

@@ -19,16 +19,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from extremes.bodies import (
-    SHAPES,
-    TORQUED_STEPS,
-    V,
-    closed,
-    measured,
-    spins,
-    swing,
-    takes_torques,
-)
+from extremes.bodies import SHAPES, TORQUED_STEPS, V, closed, measured, spins, swing, takes_torques
 from extremes.cases import (
     ANGLES,
     PROMISE,

@@ -170,13 +170,12 @@ def outcome(case: Case, chosen: Any) -> tuple[str, float]:
     return "kept" if kept else "broken", share
 
 
-def advised(seed: int, number: int, *, declared: bool = False) -> tuple[str, str, float]:
-    """What ``recommend`` does with one case."""
-    case = draw(seed, number, 12, declared=declared)
+def tried(case: Case, choose: Callable[..., Any], **options: Any) -> tuple[str, str, float]:
+    """What ``recommend`` or ``per_body_steps`` does with one case."""
     try:
-        chosen = fa.recommend(
+        chosen = choose(
             case.scene, case.q0, case.w0, t_end=case.t0 + case.t_end, t0=case.t0, tol=case.tol,
-            dtypes=["float64"], methods=["rk4", "magnus8"] if case.w0 is None else ["rk4", "rk8"],
+            **options,
         )  # fmt: skip
     except ValueError as refusal:
         if not str(refusal).startswith(("scene: ", "tol: ")):
@@ -185,25 +184,18 @@ def advised(seed: int, number: int, *, declared: bool = False) -> tuple[str, str
     return case.kind, *outcome(case, chosen)
 
 
+def advised(seed: int, number: int, *, declared: bool = False) -> tuple[str, str, float]:
+    """What ``recommend`` does with a case."""
+    case = draw(seed, number, 12, declared=declared)
+    methods = ["rk4", "magnus8"] if case.w0 is None else ["rk4", "rk8"]
+    return tried(case, fa.recommend, dtypes=["float64"], methods=methods)
+
+
 def stepped(seed: int, number: int, *, declared: bool = False) -> tuple[str, str, float]:
-    """What per-body steps do with one case."""
+    """What per-body steps do with a case."""
     case = draw(seed, number, 24, rates=False, declared=declared)
     method = ("rk8", "rk4", "rk9", "gbs16")[number // 5 % 4]
-    try:
-        chosen = fa.per_body_steps(
-            case.scene,
-            case.q0,
-            case.w0,
-            t_end=case.t0 + case.t_end,
-            t0=case.t0,
-            tol=case.tol,
-            method=method,
-        )
-    except ValueError as refusal:
-        if not str(refusal).startswith(("scene: ", "tol: ")):
-            raise
-        return case.kind, "refused", 0.0
-    return case.kind, *outcome(case, chosen)
+    return tried(case, fa.per_body_steps, method=method)
 
 
 def table(name: str, found: list[tuple[str, str, float]]) -> list[str]:

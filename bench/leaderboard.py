@@ -5,8 +5,7 @@ timing: settings within twice the best time of their library at their error. Tho
 rounds, all contestants of a problem in turn in every round, on one core: five rounds or more, of
 which the shortest CPU time counts.
 Compilation, layouts and what a library can prepare beforehand are left out; a call of ours is the
-whole call. Peers that miss what they claim (an adapter's mistake) stop the run. What took part can
-be timed again without the ladders: problem by problem, on a quiet machine.
+whole call. Peers that miss what they claim (an adapter's mistake) stop the run.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import math
 import os
 import sys
 import warnings
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,12 +60,10 @@ def climb(
     contestant: Contestant,
     mode: str,
     rivals: Sequence[Timed],
-    chosen: Container[tuple[str, ...]] | None = None,
 ) -> list[Timed]:
     """A contestant's ladder, up to round-off or to where it takes too long.
 
-    That is seconds, or more than another run of its library takes down to round-off. Of those
-    ``chosen``, by package, method, mode and setting, all are run.
+    That is seconds, or more than another run of its library takes down to round-off.
     """
     found: list[Timed] = []
     exact = [
@@ -78,10 +75,6 @@ def climb(
     ]
     longest = min([_LONGEST, *(_WORTH * seconds for seconds in exact)])
     for run in contestant.ladder(mode):
-        if chosen is not None:
-            if (contestant.package, contestant.method, mode, run.setting) not in chosen:
-                continue
-            longest = math.inf
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")  # of coarse settings, which say that they are coarse
             run.call()  # compiles
@@ -93,7 +86,7 @@ def climb(
             found.append(timed)
         # an order is seen in two errors that are small: to them a ladder goes whatever the time
         is_seen = contestant.order is None or sum(x.error < _SMALL for x in found) > 1
-        if (seconds > longest and is_seen) or (chosen is None and timed.error < _ROUND_OFF):
+        if (seconds > longest and is_seen) or timed.error < _ROUND_OFF:
             break
     return found
 
@@ -111,11 +104,12 @@ def check_claims(problem: Problem, found: Sequence[Timed]) -> None:
                 allowed = who.claim * problem.growth * max(timed.run.tol, _ROUND_OFF)
                 if timed.error > allowed:
                     raise AssertionError(f"{name}: {timed.error:.1e} rad at {timed.run.setting}")
-            if who.order is not None:
-                (coarse, middle), n = (t.error for t in ladder[-2:]), len(ladder)
-                sizes = [int(t.run.setting.split()[0]) for t in ladder[-2:]]
-                order = math.log(coarse / middle) / math.log(sizes[1] / sizes[0])
-                if n < 2 or (middle > 1e-12 and order < who.order - 0.3):
+            if who.order is not None and ladder[-1].error > 1e-12:
+                errors = [timed.error for timed in ladder[-2:]]
+                sizes = [int(timed.run.setting.split()[0]) for timed in ladder[-2:]]
+                fall, ratio = errors[0] / errors[-1], sizes[-1] / sizes[0]
+                order = math.log(fall) / math.log(ratio) if ratio > 1.0 else math.nan
+                if not order >= who.order - 0.3:
                     raise AssertionError(f"{name}: order {order:.2f}, not {who.order:g}")
 
 
@@ -202,18 +196,14 @@ def measure(
     *,
     quick: bool,
     budget: float,
-    before: Sequence[Row] = (),
 ) -> list[Row]:
-    """All rows of a problem, or those of ``before`` again."""
+    """All rows of a problem."""
     begin = perf_counter()
-    chosen = {(r.package, r.method, r.mode, r.setting) for r in before} or None
-    methods = chosen and {key[:2] for key in chosen}
     found: list[Timed] = []
 
     def run(contestant: Contestant) -> None:
-        if methods is None or (contestant.package, contestant.method) in methods:
-            for mode in (ONE, MANY):
-                found.extend(climb(problem, contestant, mode, found, chosen))
+        for mode in (ONE, MANY):
+            found.extend(climb(problem, contestant, mode, found))
 
     for package in packages:
         for contestant in contestants(problem, package, quick):
@@ -227,7 +217,7 @@ def measure(
             for name in leaders(problem, found):
                 run(our_loop(problem, name, quick))
     kept = found
-    if isinstance(problem, Problem) and chosen is None:
+    if isinstance(problem, Problem):
         check_claims(problem, found)
         kept = worth_timing(found)
     ready = perf_counter()
@@ -252,7 +242,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--budget", type=float, default=10.0, help="timing of each problem, s")
     parser.add_argument("--quick", action="store_true", help="few bodies and settings, one round")
     parser.add_argument("--keep", action="store_true", help="keep the CSV's other problems")
-    parser.add_argument("--again", action="store_true", help="time what the CSV has: no ladders")
     parser.add_argument("--draw", action="store_true", help="only draw the CSV that is there")
     options = parser.parse_args(arguments)
 
@@ -263,16 +252,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("not installed, left out: " + ", ".join(absent))
     path = options.out / "leaderboard.csv"
     options.out.mkdir(parents=True, exist_ok=True)
-    before = options.keep or options.draw or options.again
-    rows = read_rows(path) if before and path.exists() else []
+    rows = read_rows(path) if (options.keep or options.draw) and path.exists() else []
     with one_core():
         for name in [] if options.draw else options.problem or PROBLEMS:
             problem = PROBLEMS[name](options.quick)
-            old = [row for row in rows if row.problem == name]
-            new = measure(
-                problem, packages, quick=options.quick, budget=options.budget,
-                before=old if options.again else (),
-            )  # fmt: skip
+            new = measure(problem, packages, quick=options.quick, budget=options.budget)
             rows = [row for row in rows if row.problem != name] + new
             rows.sort(key=lambda row: list(PROBLEMS).index(row.problem))
             write_rows(path, rows)

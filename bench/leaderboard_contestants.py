@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -190,58 +191,32 @@ def _last(q: np.ndarray) -> np.ndarray:
 def _numpy_quaternion(problem: Problem, quick: bool) -> Iterator[Contestant]:
     """``integrate_angular_velocity`` turns at rates in inertial axes.
 
-    Coning, given in body axes, turns the conjugate at the opposite rate. A free body turns at the
-    rate that belongs to its momentum, fixed in space.
+    Coning, given in body axes, turns the conjugate at the opposite rate.
     """
     import quaternion
 
-    if problem.kind not in (equations.CONING, equations.FREE):
+    if problem.kind != equations.CONING:
         return
-    turns = [_rate_in_space(problem, k) for k in range(problem.n_exact)]
 
     def body(k: int, tol: float) -> np.ndarray:
-        rate, conjugated = turns[k]
-        start = quaternion.quaternion(*problem.q0[k])
+        size, frequency, along = problem.parameters_of(k).tolist()
+
+        def reversed_rate(t):
+            s, c = math.sin(frequency * t), math.cos(frequency * t)
+            return 2.0 * size * s, -2.0 * size * c, 2.0 * along
+
+        start = quaternion.quaternion(*problem.q0[k]).conj()
         with warnings.catch_warnings():
             _, q = quaternion.integrate_angular_velocity(
-                rate, 0.0, problem.t_end, start.conj() if conjugated else start, tol
+                reversed_rate, 0.0, problem.t_end, start, tol
             )
-        end = q[-1].conj() if conjugated else q[-1]
-        return end.components
+        return q[-1].conj().components
 
     def ladder(mode: str) -> Iterator[Run]:
-        if mode == MANY:
-            return
-        for tol in tolerances(quick):
+        for tol in tolerances(quick) if mode == ONE else ():
             yield at_tolerance(tol, lambda tol=tol: [body(k, tol) for k in range(problem.n_exact)])
 
     yield Contestant("numpy-quaternion", "integrate_angular_velocity", ladder, 100.0, bound=PYTHON)
-
-
-def _rate_in_space(problem: Problem, k: int) -> tuple[Callable[..., Any], bool]:
-    """The rate, and whether it is that of the conjugate."""
-    import quaternion
-
-    p = problem.parameters_of(k).tolist()
-    if problem.kind == equations.CONING:
-
-        def reversed_rate(t):
-            s, c = math.sin(p[1] * t), math.cos(p[1] * t)
-            return 2.0 * p[0] * s, -2.0 * p[0] * c, 2.0 * p[2]
-
-        return reversed_rate, True
-    moments = [float(i) for i in problem.scene.inertia]
-    start = quaternion.quaternion(*problem.q0[k])
-    momentum = problem.w0[k] * moments
-    momentum = start * quaternion.quaternion(0.0, *momentum) * start.conj()
-
-    def rate(t, q):
-        inside = q.conj() * momentum * q
-        x, y, z = inside.x / moments[0], inside.y / moments[1], inside.z / moments[2]
-        outside = q * quaternion.quaternion(0.0, x, y, z) * q.conj() / q.norm() ** 2
-        return outside.x, outside.y, outside.z
-
-    return rate, False
 
 
 def _middles(rates: np.ndarray) -> np.ndarray:
@@ -352,13 +327,14 @@ _PEERS: dict[str, tuple[str, Callable[..., Iterator[Contestant]] | None]] = {
     "diffrax": ("diffrax", solvers.diffrax),
     "MuJoCo": ("mujoco", solvers.mujoco),
     "Basilisk": ("Basilisk", solvers.basilisk),
+    "Exudyn": ("exudyn", solvers.exudyn),
     "numpy-quaternion": ("quaternion", _numpy_quaternion),
     "ahrs": ("ahrs", None),
     "scikit-kinematics": ("skinematics", None),
 }
 SAMPLED = ("numpy-quaternion", "ahrs", "scikit-kinematics")
 PACKAGES = (OURS, *_PEERS)
-DISTRIBUTIONS = {"Basilisk": "bsk"}
+DISTRIBUTIONS = {"Basilisk": "bsk", "Exudyn": "exudyn"}
 
 
 def missing() -> list[str]:
@@ -386,17 +362,8 @@ def _on_log(log: Log, package: str, quick: bool) -> Iterator[Contestant]:
 
     if package == OURS:
         for name in ("trapezoid",) if quick else methods_for_samples():
-            yield Contestant(
-                OURS,
-                name,
-                once(
-                    lambda name=name: fa.integrate_rates(
-                        log.rates, log.dt, start, method=name, n_threads=1
-                    )
-                ),
-            )
+            call = partial(fa.integrate_rates, log.rates, log.dt, start, method=name, n_threads=1)
+            yield Contestant(OURS, name, once(call))
     elif package in SAMPLED:
         for method, solve, *_ in _samplers(package, tol=1e-6):
-            yield Contestant(
-                package, method, once(lambda solve=solve: solve(log.rates, log.dt, start))
-            )
+            yield Contestant(package, method, once(partial(solve, log.rates, log.dt, start)))

@@ -19,9 +19,11 @@ from fastatt.plots.drawing import COLOURS, save
 
 PICTURES = Path(__file__).parents[1] / "fastatt" / "docs" / "pictures"
 _COLOURS = dict(
-    zip(PACKAGES, ("#000000", *COLOURS[:6], "#7F3C00", "#4B0092", "#777777"), strict=True)
+    zip(
+        PACKAGES, ("#000000", *COLOURS[:6], "#7F3C00", "#4B0092", "#777777", "#C77CFF"), strict=True
+    )
 )
-_MARKERS = dict(zip(PACKAGES, ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">"), strict=True))
+_MARKERS = dict(zip(PACKAGES, ("o", "s", "^", "v", "D", "P", "X", "*", "<", ">", "p"), strict=True))
 _MOST = 3e4  # times as long as fastatt, beyond which a library is drawn at the edge
 
 

@@ -1,7 +1,8 @@
 """The leaderboard's problems: ensembles and a gyro log, each with an independent reference.
 
-Coning is known in closed form; rigid bodies are integrated in mpmath by the tests' oracle; the log
-is of a known smooth motion, which has the spectrum of a recorded one.
+Coning is known in closed form; rigid bodies, free, on a point and in orbit, are integrated in
+mpmath by the tests' oracle; the log is of a known smooth motion, with the spectrum of a recorded
+one.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ QUICK_BODIES, QUICK_EXACT = 64, 2
 REAL = (1.2, 1.0, 2.0 / 3.0)
 TRIAXIAL = (2.0, 1.0, 2.0 / 3.0)
 TRIAXIAL_TOP = (1.0, 0.8, 0.5)
+DEBRIS, MEAN_MOTION = (1000.0, 900.0, 300.0), 1.1e-3  # kg·m², rad/s
 # weight times arm is 1 N·m
 TOP = fa.Scene(inertia=(1.0, 1.0, 0.5), torque=fa.torques.HeavyTop((0.0, 0.0, 0.1), 10.0))
 RECORDING = "walking_xsens_lowerLeg.txt"
@@ -101,10 +103,6 @@ class Problem:
         """How many bodies a run covers."""
         return self.n_exact if mode == ONE else len(self.q0)
 
-    def error(self, q: np.ndarray) -> float:
-        """Root mean square of ``angles``, rad."""
-        return float(np.sqrt(np.mean(self.angles(q) ** 2)))
-
     def angles(self, q: np.ndarray) -> np.ndarray:
         """Those to the reference, rad, of each body."""
         return fa.angle_between(np.asarray(q[: self.n_exact], float), self.truth)
@@ -125,10 +123,6 @@ class Log:
         """How many intervals a run covers."""
         del mode
         return len(self.rates) - 1
-
-    def error(self, q: np.ndarray) -> float:
-        """Root mean square over time of ``angles``, rad."""
-        return float(np.sqrt(np.mean(self.angles(q) ** 2)))
 
     def angles(self, q: np.ndarray) -> np.ndarray:
         """Those to the reference, rad, at each instant."""
@@ -171,10 +165,7 @@ def coning_large(quick: bool) -> Problem:
 
 def _sampled(problem: Problem) -> Problem:
     return replace(
-        problem,
-        name=f"{problem.name}-sampled",
-        title=f"{problem.title}, sampled",
-        sampled=True,
+        problem, name=f"{problem.name}-sampled", title=f"{problem.title}, sampled", sampled=True
     )
 
 
@@ -200,19 +191,22 @@ def _bodies(
 ) -> Problem:
     import rigid_oracle as oracle
 
-    exact = _sizes(quick)[1]
+    exact = min(_sizes(quick)[1], 8 if kind == equations.ORBIT else N_EXACT)  # 10 s each
     inertia = np.asarray(scene.inertia)
     w0, third = m0 / inertia, float(inertia[2])
-    parameters = {
-        equations.FREE: lambda: equations.of_body(inertia),
-        equations.TOP: lambda: equations.of_body(inertia, potential=True),
-        equations.PUSHED: lambda: equations.of_push(inertia),
-    }[kind]()
-    torque = {
-        equations.FREE: None,
-        equations.TOP: oracle.heavy_top(10.0, (0.0, 0.0, 0.1)),
-        equations.PUSHED: lambda t, q, w: (0, 0, oracle.functions_of(t).sin(t) ** 2 * third / 4),
-    }[kind]
+    parameters, torque = {
+        equations.FREE: lambda: (equations.of_body(inertia), None),
+        equations.TOP: lambda: (
+            equations.of_body(inertia, potential=True), oracle.heavy_top(10.0, (0.0, 0.0, 0.1)),
+        ),
+        equations.PUSHED: lambda: (
+            equations.of_push(inertia),
+            lambda t, q, w: (0, 0, oracle.functions_of(t).sin(t) ** 2 * third / 4),
+        ),
+        equations.ORBIT: lambda: (
+            equations.of_orbit(inertia, MEAN_MOTION), oracle.gravity_gradient(inertia, MEAN_MOTION),
+        ),
+    }[kind]()  # fmt: skip
 
     def end(k: int, digits: int) -> list[float]:
         start = q0[k].tolist(), w0[k].tolist()
@@ -327,6 +321,19 @@ def sciml(quick: bool) -> Problem:
     return _bodies("sciml", title, scene, _aligned(n), m0, 10.0, quick, equations.PUSHED)
 
 
+def debris(quick: bool) -> Problem:
+    """A defunct satellite, tumbling at 0.6 to 2.9 °/s about any axis, for an orbit of 7000 km."""
+    n = _sizes(quick)[0]
+    generator = np.random.default_rng(11)
+    w0 = generator.normal(size=(n, 3))
+    w0 *= generator.uniform(0.01, 0.05, (n, 1)) / np.linalg.norm(w0, axis=1, keepdims=True)
+    scene = fa.Scene(inertia=DEBRIS, torque=fa.torques.GravityGradient(MEAN_MOTION))
+    return _bodies(
+        "debris", "tumbling debris, gravity gradient, an orbit of 5712 s", scene, _aligned(n),
+        w0 * np.asarray(DEBRIS), 5712.0, quick, equations.ORBIT,
+    )  # fmt: skip
+
+
 def wheels(quick: bool) -> Problem:
     """Basilisk's ``scenarioAttitudeFeedbackRW``, and other starts."""
     n, exact = _sizes(quick)
@@ -437,6 +444,7 @@ PROBLEMS = {
     "top": heavy_top,
     "top-triaxial": triaxial_top,
     "sciml": sciml,
+    "debris": debris,
     "wheels": wheels,
     "log": gyro_log,
 }

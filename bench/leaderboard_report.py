@@ -28,6 +28,7 @@ _SETTINGS = {
     "MuJoCo": "a free joint, no contacts, `rollout` in C",
     "Basilisk": "a hub, `svIntegratorRK4`; the simulation is built and reset beforehand; with "
     "wheels `scenarioAttitudeFeedbackRW` without orbit and records, built beforehand",
+    "Exudyn": "a body with a rotation vector, `RK67`; the gravity gradient is a Python function",
     "numpy-quaternion": "`integrate_angular_velocity`; samples: mean rates, `exp`, "
     "`multiply.accumulate`",
     "ahrs": "`AngularRate`, mean rates",
@@ -281,7 +282,8 @@ Times do not contain compilation, layouts, plans and other preparations that a l
 The operations of heyoka follow from its order p and its steps: p² for each product of series and 2p
 for each variable. For fastatt, operations that all bodies share, such as a sine of time, are
 counted for each body; the rate of operations can then exceed the peak of the core.
-MuJoCo and Basilisk run free bodies that can exist: no moment is above the sum of the others.
+MuJoCo, Basilisk and Exudyn run bodies that can exist: no moment is above the sum of the others.
+In orbit Basilisk integrates the position too.
 With wheels a torque is computed every 0.1 s and held, and steps end there: libraries that integrate
 equations are restarted at each sample, while Basilisk and fastatt run the controller themselves."""
 

@@ -25,11 +25,10 @@ QUICK = {
         equations.FREE: ("exact",),
         equations.TOP: ("exact", "rk8"),
         equations.PUSHED: ("rk8",),
+        equations.ORBIT: ("gbs16",),
         equations.WHEELS: ("rk4",),
     },
 }  # fmt: skip
-# of whole nanoseconds, which Basilisk counts
-_WHOLE_STEPS = [40 * 2**k for k in range(8)]
 PYTHON = "a Python loop"  # what bounds a library's speed
 
 
@@ -111,7 +110,7 @@ def heyoka(problem: Problem, quick: bool) -> Iterator[Contestant]:
         return at_tolerance(tol, call)._replace(work=work)
 
     def batch(tol: float, group: int) -> Run:
-        system = peers.TaylorBatch(kind, problem.parameters, tol, group=group)
+        system = peers.TaylorBatch(kind, problem.parameters, tol, group)
         starts = system.lanes(problem.y0)
         own = None if system.parameters is None else system.lanes(system.parameters)
         return Run(
@@ -286,13 +285,10 @@ def scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
         np.broadcast_to(problem.parameters, (n, problem.parameters.shape[-1]))
     )
 
-    def solve_ivp(method: str):
-        def body(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
-            return integrate.solve_ivp(
-                one, (0.0, t_end), y0, method, args=(p,), rtol=tol, atol=tol
-            ).y[:, -1]
-
-        return body
+    def solve_ivp(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
+        return integrate.solve_ivp(
+            one, (0.0, t_end), y0, "DOP853", args=(p,), rtol=tol, atol=tol
+        ).y[:, -1]
 
     def odeint(y0: np.ndarray, p: np.ndarray, tol: float) -> np.ndarray:
         span = [0.0, t_end]
@@ -312,7 +308,7 @@ def scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
 
     def ladder_of(body: Callable[..., np.ndarray]):
         def ladder(mode: str) -> Iterator[Run]:
-            if mode == MANY and body is not first:
+            if mode == MANY and body is not solve_ivp:
                 return
             for tol in tolerances(quick):
                 call = (
@@ -324,26 +320,34 @@ def scipy(problem: Problem, quick: bool) -> Iterator[Contestant]:
 
         return ladder
 
-    first = solve_ivp("DOP853")
-    found = {
-        "solve_ivp DOP853": (first, 100.0), "solve_ivp LSODA": (solve_ivp("LSODA"), 1e4),
-        "odeint": (odeint, 1e4), "ode dop853": (dop853, 100.0),
-    }  # fmt: skip
-    for name, (body, claim) in list(found.items())[: 1 if quick else None]:
+    solvers = (
+        (solve_ivp, "solve_ivp DOP853", 100.0),
+        (odeint, "odeint", 1e4),
+        (dop853, "ode dop853", 100.0),
+    )
+    for body, name, claim in solvers[: 1 if quick else None]:
         yield Contestant("scipy", name, ladder_of(body), claim, bound=PYTHON)
 
 
 # programs of rigid bodies
 
 
-def _fourth_order(package: str, method: str, build: Callable[..., Any], modes: tuple[str, ...]):
-    """A class of ``peers_bodies``, for free bodies of matter: no moment above the sum of others."""
+def _in_steps(
+    package: str, method: str, order: int, build: Callable[..., Any], modes: tuple[str, ...],
+    kinds: tuple[str, ...] = (equations.FREE, equations.ORBIT),
+):  # fmt: skip
+    """A class of ``peers_bodies``, for bodies of matter: no moment above the sum of others."""
 
     def contestants(problem: Problem, quick: bool) -> Iterator[Contestant]:
+        motion = problem.parameters[4] if problem.kind == equations.ORBIT else 0.0
+        doubled = [40 * 2**k for k in range(12)]
+        # of whole nanoseconds, which Basilisk counts
+        whole = [n for n in doubled if round(problem.t_end * 1e9) % n == 0]
+
         def ladder(mode: str) -> Iterator[Run]:
             rows = np.arange(problem.units(mode))
-            for n in (QUICK["steps"] if quick else _WHOLE_STEPS) if mode in modes else ():
-                body = build(problem.scene.inertia, problem.t_end, n)
+            for n in (whole[4:6] if quick else whole) if mode in modes else ():
+                body = build(problem.scene.inertia, problem.t_end, n, motion)
                 groups = rows[:, None] if mode == ONE else [rows]
                 starts = [body.state(problem.q0[g], problem.w0[g]) for g in groups]
 
@@ -353,11 +357,12 @@ def _fourth_order(package: str, method: str, build: Callable[..., Any], modes: t
                 yield Run(f"{n} steps", call, body.attitudes)
 
         moments = np.asarray(problem.scene.inertia)
-        if problem.kind == equations.FREE and 2.0 * moments.max() <= moments.sum():
-            yield Contestant(package, method, ladder, order=4.0, bound="order 4")
+        if problem.kind in kinds and 2.0 * moments.max() <= moments.sum():
+            yield Contestant(package, method, ladder, order=order, bound=f"order {order}")
 
     return contestants
 
 
-mujoco = _fourth_order("MuJoCo", "RK4", peers.MuJoCoBody, (ONE, MANY))
-basilisk = _fourth_order("Basilisk", "spacecraft, RK4", peers.BasiliskBody, (ONE,))
+mujoco = _in_steps("MuJoCo", "RK4", 4, peers.MuJoCoBody, (ONE, MANY), (equations.FREE,))
+basilisk = _in_steps("Basilisk", "spacecraft, RK4", 4, peers.BasiliskBody, (ONE,))
+exudyn = _in_steps("Exudyn", "rotation vector, RK67", 6, peers.ExudynBody, (ONE,))

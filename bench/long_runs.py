@@ -18,11 +18,13 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from functools import partial
 
 import mpmath
 import numpy as np
 
 import fastatt as fa
+from fastatt.trade.timing import time_in_turns
 
 SMALL = bool(os.environ.get("FASTATT_SMOKE"))
 # steps and bodies of the runs with many bodies, and at most of the long ones
@@ -85,17 +87,11 @@ def grow(method, mode, n_steps, n_bodies, dtype):
                 rows.append((n, rms(angle), rms(piece.norm_error[s])))
 
     start = time.perf_counter()
+    q0 = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype), (n_bodies, 1))
     fa.propagate(
-        scene,
-        np.array([[1.0, 0.0, 0.0, 0.0]], dtype=dtype).repeat(n_bodies, axis=0),
-        dt=STEP,
-        n_steps=n_steps,
-        method=method,
-        save_every=least,
-        on_save=look,
-        n_threads=None,
+        scene, q0, dt=STEP, n_steps=n_steps, method=method, save_every=least, on_save=look,
         **MODES[mode],
-    )
+    )  # fmt: skip
     return rows, n_bodies * n_steps / (time.perf_counter() - start)
 
 
@@ -155,15 +151,12 @@ def speeds():
     coning = fa.Scene(rate=fa.rates.Coning(angle, frequency))
     for scene, rates, method in ((coning, None, "magnus4"), (fa.Scene(inertia=BODY), w0, "rk8")):
         calls = {**MODES, "normalised every ten steps": {"normalise": 10}}
-        taken = dict.fromkeys(calls, np.inf)
-        for _ in range(9):  # they take turns; the first compiles
-            for name, options in calls.items():
-                start = time.perf_counter()
-                fa.propagate(
-                    scene, q0, rates, dt=0.01, n_steps=300, method=method, n_threads=1, **options
-                )
-                taken[name] = min(taken[name], time.perf_counter() - start)
-        told = (f"{name} {taken['plain'] / t:.2f}" for name, t in taken.items())
+        common = {"dt": 0.01, "n_steps": 300, "method": method, "n_threads": 1}
+        plain, *_ = times = time_in_turns([
+            partial(fa.propagate, scene, q0, rates, **common, **options)
+            for options in calls.values()
+        ])  # fmt: skip
+        told = (f"{x} {plain.least / y.least:.2f}" for x, y in zip(calls, times, strict=True))
         print(f"{method}: " + ", ".join(told), flush=True)
 
 

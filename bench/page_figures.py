@@ -27,7 +27,7 @@ TARGETS = ("1e-3", "1e-6", "1e-9", "1e-12")
 GROUPS = {
     "prescribed rate": r"coning.*(?<!sampled)$",
     "free body, heavy symmetric top": r"free|flip|separatrix|symmetric top",
-    "any torque": r"triaxial top|rigid body",
+    "any torque": r"triaxial top|rigid body|debris",
     "wheels, torques held between samples": r"wheels",
     "sampled rates": r"sampled$",
 }
@@ -40,9 +40,11 @@ COMPARED = {
     ("heavy triaxial top, 10 s", "one"),
     ("heavy triaxial top, 10 s", "ensemble"),
 }
-NUMBERS = ("none", "one", "two", "three", "four", "five")
+NUMBERS = (
+    "none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven",
+)  # fmt: skip
 CELLS = """\
-[The leaderboard](bench/LEADERBOARD.md) compares fastatt with nine libraries on {problems} \
+[The leaderboard](bench/LEADERBOARD.md) compares fastatt with {libraries} libraries on {problems} \
 problems, for one body and for ensembles, at four errors each. There fastatt is first in {won} of \
 {cells} cells; it ties in {tied} and loses {lost}, single short gyro logs at 1e-3 rad. In {closed} \
 of the {won} its fastest method is a closed form (`exact`), which takes no steps while the other \
@@ -71,10 +73,10 @@ def cells(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
 
 
-def board() -> list[list[str]]:
-    """Who is first: a problem, its bodies, and a cell for each of ``TARGETS``."""
-    _, table = (BENCH / "LEADERBOARD.md").read_text(encoding="utf-8").split("## Who is first")
-    return cells(table.split("\n![")[0])[2:]
+def board(title: str = "Who is first") -> list[list[str]]:
+    """A table of the leaderboard: a problem, its bodies, and a cell for each of ``TARGETS``."""
+    _, table = (BENCH / "LEADERBOARD.md").read_text(encoding="utf-8").split(f"## {title}")
+    return cells(table.split("\n![")[0].split("\n## ")[0])[2:]
 
 
 def first() -> dict[str, list[Counter[str]]]:
@@ -149,6 +151,7 @@ def of_cells() -> str:
     won = [cell for cell in every if cell.startswith("`")]
     tied, lost = (sum(cell.startswith(mark) for cell in every) for mark in ("tie", "**"))
     return CELLS.format(
+        libraries=NUMBERS[len(board("Libraries")) - 1],
         problems=len({row[0] for row in board()}),
         cells=len(every),
         won=len(won),

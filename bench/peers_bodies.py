@@ -1,62 +1,24 @@
-"""Rigid bodies in other programs: RK4 in C, Taylor series by heyoka, MuJoCo and Basilisk.
+"""Rigid bodies in other programs: RK4 in C, heyoka's Taylor series, MuJoCo, Basilisk, Exudyn.
 
-Each peer runs an ensemble from attitudes q0 (N, 4) and momenta m0 (N, 3), body axes, and gives a
-``Run``: the same at the end, and the seconds of the propagation on one core, compilation and the
-change of layout left out. A peer is imported, or its compiler looked for, where it is used.
+A peer is imported, or its compiler looked for, where it is used.
 """
 
 from __future__ import annotations
 
 import ctypes
+import math
 import shutil
 import subprocess
 import tempfile
 import time
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import equations
 import numpy as np
 
-T_END = 10.0
-TILE = 64
-
-
-class Run(NamedTuple):
-    """Attitudes (N, 4) and momenta (N, 3) at the end, seconds of the propagation."""
-
-    q: np.ndarray
-    m: np.ndarray
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Bodies:
-    """An ensemble: moments (3,) or (N, 3), attitudes and momenta at t = 0."""
-
-    inertia: np.ndarray
-    q0: np.ndarray
-    m0: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.q0)
-
-
-def free_bodies(n_bodies: int) -> Bodies:
-    """Moments (2, 1, 2/3), momenta of size 1 in all directions, no torque."""
-    m0 = np.random.default_rng(1).normal(size=(n_bodies, 3))
-    m0 /= np.linalg.norm(m0, axis=1, keepdims=True)
-    q0 = np.tile([1.0, 0.0, 0.0, 0.0], (n_bodies, 1))
-    return Bodies(np.array([2.0, 1.0, 2.0 / 3.0]), q0, m0)
-
-
-def _products(inertia: np.ndarray) -> np.ndarray:
-    """Factors of m2 m3, m3 m1 and m1 m2 in Euler's equations for the momentum, (..., 3)."""
-    inverse = 1.0 / np.asarray(inertia, float)
-    return np.roll(inverse, -2, axis=-1) - np.roll(inverse, -1, axis=-1)
-
+import fastatt as fa
 
 # C
 
@@ -161,59 +123,43 @@ def compile_c() -> ctypes._CFuncPtr:
     return function
 
 
-def c_rk4(bodies: Bodies, n_steps: int) -> Run:
-    """RK4 on (q, m) in C: tiles of 64 bodies stay in a local array for the whole run."""
-    function = compile_c()
-    n = len(bodies)
-    padded = -(-n // TILE) * TILE
-    y = np.empty((7, padded))
-    y[:4, :n], y[4:, :n] = bodies.q0.T, bodies.m0.T
-    y[:, n:] = y[:, :1]
-    factors = np.concatenate([0.5 / bodies.inertia.T, _products(bodies.inertia).T])
-    shared = factors.ndim == 1
-    if not shared:
-        factors = np.concatenate([factors, np.repeat(factors[:, :1], padded - n, 1)], axis=1)
-    start = time.process_time()
-    function(y, np.ascontiguousarray(factors), padded, shared, T_END / n_steps, n_steps)
-    seconds = time.process_time() - start
-    return Run(y[:4, :n].T.copy(), y[4:, :n].T.copy(), seconds)
+def c_rk4(
+    inertia: np.ndarray, q0: np.ndarray, m0: np.ndarray, t_end: float, n_steps: int
+) -> tuple[np.ndarray, float]:
+    """RK4 on attitudes (N, 4) and momenta (N, 3), moments (3,) or (N, 3); N a multiple of 64.
+
+    Attitudes at the end and the seconds that the propagation takes in C, where tiles of 64 bodies
+    stay in a local array for the whole run.
+    """
+    inverse, y = 1.0 / inertia.T, np.ascontiguousarray(np.concatenate([q0, m0], axis=1).T)
+    # of the momenta in the rates, and of m2 m3, m3 m1 and m1 m2 in Euler's equations
+    factors = [0.5 * inverse, np.roll(inverse, -2, 0) - np.roll(inverse, -1, 0)]
+    factors, function = np.ascontiguousarray(np.concatenate(factors)), compile_c()
+    begin = time.process_time()
+    function(y, factors, len(q0), inertia.ndim == 1, t_end / n_steps, n_steps)
+    return y[:4].T, time.process_time() - begin
 
 
 # heyoka
-
-
-def _fastest_group(tol: float) -> int:
-    """Bodies in one system, measured: the looser the tolerance, the dearer the choice of a step."""
-    return next((n for n, least in ((8, 1e-3), (4, 1e-6), (2, 1e-8)) if tol >= least), 1)
 
 
 class TaylorBatch:
     """heyoka's batch integrator of many bodies' equations: compiled once, used batch after batch.
 
     ``group`` bodies are one system of equations with one step size, which spreads the cost of
-    choosing the step and is chosen for the tolerance unless given. Unrolled code (no compact mode)
-    and a batch of one vector are fastest. The library's ensemble functions copy the integrator for
-    every batch, which takes longer than the propagation.
+    choosing the step. Unrolled code (no compact mode) and a batch of one vector are fastest. The
+    library's ensemble functions copy the integrator for every batch, which takes longer than the
+    propagation.
     """
 
-    def __init__(
-        self,
-        kind: str,
-        parameters: np.ndarray,
-        tol: float,
-        *,
-        batch: int | None = None,
-        group: int | None = None,
-        **options,
-    ) -> None:
+    def __init__(self, kind: str, parameters: np.ndarray, tol: float, group: int) -> None:
         """``parameters`` are (P,), shared and compiled in, or (N, P)."""
         import heyoka as hy
 
         slope = equations.slope(kind, hy.sin, hy.cos)
         self.kind = kind
         self.size = equations.N_STATE[kind]
-        self.batch = hy.recommended_simd_size() if batch is None else batch
-        self.group = group = _fastest_group(tol) if group is None else group
+        self.batch, self.group = hy.recommended_simd_size(), group
         self.parameters = parameters if parameters.ndim == 2 else None
         n = parameters.shape[-1]
         system = []
@@ -222,7 +168,7 @@ class TaylorBatch:
             y = hy.make_vars(*(f"y{i}_{k}" for i in range(self.size)))
             system += zip(y, slope(hy.time, y, own), strict=True)
         state = np.tile(np.eye(self.size, 1), (group, self.batch))
-        self.integrator = hy.taylor_adaptive_batch(system, state, tol=tol, **options)
+        self.integrator = hy.taylor_adaptive_batch(system, state, tol=tol)
 
     def lanes(self, columns: np.ndarray) -> np.ndarray:
         """Columns (N, k) of the bodies as (batches, group k, batch), the last body repeated."""
@@ -263,13 +209,13 @@ def taylor_work(integrator: Any, steps: int, kind: str) -> float:
     return float(steps * p * (products * p + 2 * equations.N_STATE[kind]))
 
 
-# programs with steps of their own
+# programs with steps of their own: (principal moments, t_end, number of steps, mean motion)
 
 
 class MuJoCoBody:
     """A body on a free joint: RK4 with n steps, by the rollout of states in C."""
 
-    def __init__(self, inertia: Any, t_end: float, n: int) -> None:
+    def __init__(self, inertia: Any, t_end: float, n: int, _: float) -> None:
         import mujoco
         from mujoco import rollout
 
@@ -295,12 +241,15 @@ class MuJoCoBody:
 
 
 class BasiliskBody:
-    """A spacecraft of nothing but a hub: RK4 with n steps on Rodrigues parameters."""
+    """A spacecraft of nothing but a hub: RK4 with n steps on Rodrigues parameters.
 
-    def __init__(self, inertia: Any, t_end: float, n: int) -> None:
+    In orbit its position is integrated too, in a point mass's gravity.
+    """
+
+    def __init__(self, inertia: Any, t_end: float, n: int, mean_motion: float) -> None:
         from Basilisk.architecture import bskLogging
-        from Basilisk.simulation import spacecraft, svIntegrators
-        from Basilisk.utilities import SimulationBaseClass
+        from Basilisk.simulation import GravityGradientEffector, spacecraft, svIntegrators
+        from Basilisk.utilities import SimulationBaseClass, simIncludeGravBody
 
         bskLogging.setDefaultLogLevel(bskLogging.BSK_ERROR)
         self.span = round(t_end * 1e9)  # ns, as all its times
@@ -313,14 +262,26 @@ class BasiliskBody:
         self.integrator = svIntegrators.svIntegratorRK4(craft)
         craft.setIntegrator(self.integrator)
         simulation.AddModelToTask("task", craft)
+        self.orbit: list[list[list[float]]] = []
+        if mean_motion:
+            self.owned = gravity = simIncludeGravBody.gravBodyFactory()
+            planet = gravity.createEarth()
+            planet.isCentralBody = True
+            gravity.addBodiesTo(craft)
+            self.pull = pull = GravityGradientEffector.GravityGradientEffector()
+            pull.addPlanetName(planet.planetName)
+            craft.addDynamicEffector(pull)
+            simulation.AddModelToTask("task", pull)
+            r = (planet.mu / mean_motion**2) ** (1.0 / 3.0)
+            self.orbit = [[[r], [0.0], [0.0]], [[0.0], [mean_motion * r], [0.0]]]
         simulation.InitializeSimulation()
-        names = ("hubSigma", "hubOmega")
+        names = ("hubSigma", "hubOmega", "hubPosition", "hubVelocity")[: 2 + len(self.orbit)]
         self.objects = [craft.dynManager.getStateObject(name) for name in names]
         self.ended = 0
 
     def state(self, q: np.ndarray, w: np.ndarray) -> list[list[list[float]]]:
-        """Rodrigues parameters and rates, as columns."""
-        return [(x.T).tolist() for x in (q[:, 1:] / (1.0 + q[:, :1]), w)]
+        """Rodrigues parameters and rates, the position and its rate in orbit, as columns."""
+        return [x.T.tolist() for x in (fa.quat_to_mrp(q), w)] + self.orbit
 
     def run(self, start: list[list[list[float]]]) -> Any:
         for known, value in zip(self.objects, start, strict=True):
@@ -331,6 +292,60 @@ class BasiliskBody:
         return self.objects[0].getState()
 
     def attitudes(self, ends: list[Any]) -> np.ndarray:
-        sigma = np.array(ends).reshape(-1, 3)
-        square = np.sum(sigma**2, axis=1, keepdims=True)
-        return np.concatenate([1.0 - square, 2.0 * sigma], axis=1) / (1.0 + square)
+        return fa.mrp_to_quat(np.reshape(ends, (-1, 3)))
+
+
+class ExudynBody:
+    """A rigid body with a rotation vector: RK67 with n steps, in orbit with a torque in Python."""
+
+    def __init__(self, inertia: Any, t_end: float, n: int, mean_motion: float) -> None:
+        import exudyn
+        from exudyn import utilities
+
+        self.container = exudyn.SystemContainer()
+        self.system = system = self.container.AddSystem()
+        body = system.CreateRigidBody(
+            inertia=utilities.RigidBodyInertia(
+                mass=1.0, com=[0.0] * 3, inertiaTensor=np.diag(inertia)
+            ),
+            nodeType=exudyn.NodeType.RotationRotationVector, returnDict=True,
+        )  # fmt: skip
+        node, (i1, i2, i3) = body["nodeNumber"], (float(x) for x in inertia)
+        kind, strength = exudyn.OutputVariableType.RotationMatrix, 3.0 * mean_motion**2
+
+        def torque(system, t, _):
+            c = system.GetNodeOutput(node, kind).tolist()
+            u, v = math.cos(mean_motion * t), math.sin(mean_motion * t)
+            x, y, z = u * c[0] + v * c[3], u * c[1] + v * c[4], u * c[2] + v * c[5]
+            x, y, z = (i3 - i2) * y * z, (i1 - i3) * z * x, (i2 - i1) * x * y
+            return [strength * x, strength * y, strength * z]
+
+        if mean_motion:
+            marker = utilities.MarkerBodyRigid(bodyNumber=body["bodyNumber"])
+            system.AddLoad(utilities.Torque(
+                markerNumber=system.AddMarker(marker), bodyFixed=True, loadVectorUserFunction=torque
+            ))  # fmt: skip
+        system.Assemble()
+        self.settings = settings = exudyn.SimulationSettings()
+        settings.timeIntegration.endTime, settings.timeIntegration.numberOfSteps = t_end, n
+        settings.timeIntegration.automaticStepSize = False
+        settings.timeIntegration.verboseMode = 0
+        settings.solution.file.write = False
+        settings.solution.sensors.writePeriod = 2.0 * t_end
+        self.solver, self.initial = exudyn.DynamicSolverType.RK67, exudyn.ConfigurationType.Initial
+        self.matrix = lambda: system.GetNodeOutput(node, kind)
+
+    def state(self, q: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position and rotation vector, and their rates at no rotation."""
+        zero = np.zeros(3)
+        return np.append(zero, fa.quat_to_rotation_vector(q)), np.append(zero, w)
+
+    def run(self, start: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        data = self.system.systemData
+        data.SetODE2Coordinates(start[0], self.initial)
+        data.SetODE2Coordinates_t(start[1], self.initial)
+        self.system.SolveDynamic(self.settings, solverType=self.solver)
+        return self.matrix()
+
+    def attitudes(self, ends: list[np.ndarray]) -> np.ndarray:
+        return fa.dcm_to_quat(np.reshape(ends, (-1, 3, 3)))

@@ -91,10 +91,7 @@ def follow(r: Recording) -> tuple[np.ndarray, np.ndarray]:
     for i, k in enumerate(range(r.still, len(r.rates)), 1):
         ahrs.predict(r.rates[k], r.dt[k - 1])
         if k % every == 0:
-            for seen, axis, usual in (
-                (r.accel[k], UP, gravity),
-                (r.mag[k], known, strength),
-            ):
+            for seen, axis, usual in ((r.accel[k], UP, gravity), (r.mag[k], known, strength)):
                 size = np.linalg.norm(seen)
                 # what is pushed, or near iron, is of another length
                 sigma = 0.1 + abs(size / usual - 1.0)

@@ -71,10 +71,7 @@ def overheads(least):
     for n in (1, 10, 100):
         values, options = states(n), {"dt": 0.01, "n_steps": 1, "method": "rk4"}
         plan = fa.plan(FREE, n, **options)
-        calls = (
-            partial(plan, *values),
-            partial(fa.propagate, FREE, *values, **options),
-        )
+        calls = (partial(plan, *values), partial(fa.propagate, FREE, *values, **options))
         rows.append((n, *(1e6 * seconds(call, least, 100) for call in calls)))
     return rows
 
