@@ -15,6 +15,7 @@ from fastatt.attitudes import Attitude
 from fastatt.codegen.memory import DTYPES
 from fastatt.engine.marks import Event, counting, look, with_sides
 from fastatt.engine.status import DIAGNOSTICS, Diagnostic, Save, Step, flags, larger
+from fastatt.engine.tape import BLOCK, CALLING_LENGTH, SWITCHING_LENGTH
 from fastatt.methods.method import Method
 from fastatt.scene.equations import (
     Body,
@@ -285,6 +286,13 @@ class Job:
         flats = (self.small_angle, *self.updates, *([self.begin] if self.switches else []))
         spelled = "".join(flat.spelled(self.resources) for flat in flats)
         return hashlib.sha256(spelled.encode()).digest()
+
+    @property
+    def block(self) -> int:
+        """The steps of a block, of which the pieces of a run consist."""
+        if self.calls:
+            return CALLING_LENGTH
+        return SWITCHING_LENGTH if self.switches else BLOCK
 
     @cached_property
     def operations(self) -> int:

@@ -1,27 +1,23 @@
-"""Events: marks in the generated step, and the location of crossings between two steps.
+"""What marks a step: formulas after each step that find where a function may cross zero.
 
-A formula after each step keeps the state before the first step in which a function may cross zero.
-When a tape has been performed, all marked bodies are located at once, by shorter steps from there.
-A body whose mark was a false alarm performs the tape again, with later marks alone.
+They keep the state before the first such step of each body, from which ``engine.location`` finds
+the crossing when the tape has been performed.
 
 At the begin of a run and after breakpoints there are no values of earlier steps, so that one in the
 middle of the step takes their place.
 
 The functions of a scene's switches are watched like those of events, after these. A body whose
-switch has a mark stays before the marked step; when that has been divided, the body performs the
+switch has a mark stays before the marked step. When that has been divided, the body performs the
 tape again, and sleeps in the state after the step until the tape is there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from fastatt.engine.status import is_number
 from fastatt.tracing.finished import Flat
@@ -30,14 +26,6 @@ from fastatt.tracing.graph import CLASSES, Double, apply, both, choose, either, 
 
 if TYPE_CHECKING:
     from fastatt.engine.job import Job, Scope
-
-# evaluations of an extremum, and of a bracket, at most
-_FEW, _MOST = 10, 80
-_SMALLEST = float(np.finfo(np.float64).tiny)
-
-Times = NDArray[np.float64]
-#: shares of steps, and values there
-Points = tuple[Times, Times]
 
 
 @dataclass(frozen=True)
@@ -70,16 +58,16 @@ def groups(job: Job) -> dict[str, int]:
     """The rows that a body needs for its events: how many of each group.
 
     The state before the last step, and before the marked step of each event, with what the method
-    prepared; of each event the values after the last two steps, or at both ends of the marked step;
-    the step up to which marks are ignored and the marked step, both counted from the end of the
-    piece, NaN if there are none; 1 if a value was not finite; the largest diagnostics before the
-    last step; the step until which a body sleeps; values in the middle.
+    prepared; of each event and switch the values after the last two steps, or at both ends of the
+    marked step; the step up to which marks are ignored and the marked step, both counted from the
+    end of the piece, NaN if there are none; 1 if a value was not finite; the largest diagnostics
+    before the last step; the step until which a body sleeps; values in the middle.
     """
     n = job.watched
     return {
-        "last": job.size * (n > 0), "marked": (job.size + job.prepared) * n, "before": n,
-        "after": n, "skip": n, "mark": n, "lost": n, "held": len(job.of_steps) * (n > 0),
-        "release": int(len(job.switches) > 0), "middle": n,
+        "last": job.size * (n > 0), "marked": (job.size + job.prepared) * len(job.events),
+        "before": n, "after": n, "skip": n, "mark": n, "lost": n,
+        "held": len(job.of_steps) * (n > 0), "release": int(len(job.switches) > 0), "middle": n,
     }  # fmt: skip
 
 
@@ -124,15 +112,13 @@ def look(scope: Scope) -> Flat:
     Values of events after an earlier step stay, so that a function that jumps across zero crosses
     there. That of a switch is compared with its side.
     """
-    pairs = zip(_each(scope, "after"), _now(scope), strict=True)
-    values = [choose(is_number(after), after, now) for after, now in pairs]
-    last, events = scope.state(), len(scope.job.events)
+    values, last, now = _each(scope, "after"), scope.state(), _now(scope)
+    looked = [choose(is_number(after), after, g) for after, g in zip(values, now, strict=True)]
     if scope.job.switches:
-        sleeps, before = sleeping(scope), scope.inputs("last", scope.job.size)
-        last = tuple(choose(sleeps, x, y) for x, y in zip(before, last, strict=True))
-        switched = list(zip(_each(scope, "after"), _now(scope), strict=True))[events:]
-        values[events:] = [choose(sleeps, after, now) for after, now in switched]
-    return scope.finished(last=last, after=values)
+        events, stays = len(scope.job.events), negated(counting(scope))
+        last = tuple(_chosen(stays, scope.inputs("last", scope.job.size), last))
+        looked[events:] = _chosen(sleeping(scope), values[events:], now[events:])
+    return scope.finished(last=last, after=looked)
 
 
 def _each(scope: Scope, name: str) -> Vector:
@@ -155,15 +141,16 @@ def going_on(scope: Scope) -> Any:
 
 def sleeping(scope: Scope, *, through: bool = False) -> Any:
     """Whether a body is not yet where its tape is, or was not in the last step."""
-    step = CLASSES[scope.precision](scope.graph.input("double", "step"))
-    (release,) = scope.inputs("release", 1)
+    (release,), step = scope.inputs("release", 1), _step(scope)
     return step <= release if through else step < release
 
 
-def counting(scope: Scope) -> Any:
-    """Whether the diagnostics of a body count."""
+def counting(scope: Scope, *, through: bool = False) -> Any:
+    """Whether the diagnostics of a body count, or, ``through`` it, those of its last step."""
     goes_on = going_on(scope)
-    return both(goes_on, negated(sleeping(scope))) if scope.job.switches else goes_on
+    if not scope.job.switches:
+        return goes_on
+    return both(goes_on, negated(sleeping(scope, through=through)))
 
 
 def after_step(scope: Scope) -> Flat:
@@ -171,61 +158,84 @@ def after_step(scope: Scope) -> Flat:
 
     A body stays where it was before the step that is marked by a terminal event or a switch.
     """
-    job, n, of_steps = scope.job, scope.job.size, scope.job.of_steps
-    x, last, e = scope.state(), scope.inputs("last", n), scope.prepared()
-    held, slides = scope.inputs("held", len(of_steps)), scope.inputs("slides", len(job.switches))
-    step = CLASSES[scope.precision](scope.graph.input("double", "step"))
-    marked = scope.inputs("marked", (n + len(e)) * job.watched)
-    goes_on, stays, sleeps = going_on(scope), [*x], None
-    divided: list[Any] = []
+    job, last, now = scope.job, scope.inputs("last", scope.job.size), _now(scope)
+    counts, events = counting(scope, through=True), len(job.events)
+    is_new = _new_marks(scope, now, counts)
+    has_mark = [is_number(mark) for mark in _each(scope, "mark")]
+    x, stays = _followed(scope, now[events:], counts), list(has_mark)
+    new: dict[str, list[Any]] = {"marked": []}
+    place = (*last, *scope.prepared())
+    marked = scope.inputs("marked", len(place) * events)
+    for i, event in enumerate(job.events):
+        known = marked[len(place) * i : len(place) * (i + 1)]
+        new_place = _chosen(is_new[i], place, known)
+        new["marked"] += new_place
+        if event.terminal:
+            x = _chosen(either(has_mark[i], is_new[i]), new_place[: job.size], x)
     if job.switches:
         sleeps = sleeping(scope, through=True)
-        goes_on = both(goes_on, negated(sleeps))
-    new: dict[str, list[Any]] = {name: [] for name in ("marked", "before", "after", "mark", "lost")}
-    names = ("before", "after", "skip", "mark", "lost", "middle")
-    kept = zip(*(_each(scope, name) for name in names), _now(scope), strict=True)
-    for i, (before, after, skip, mark, lost, middle, now) in enumerate(kept):
-        k = i - len(job.events)
-        direction = 0 if k >= 0 else job.events[i].direction
-        # of the parabola through the last values; after a breakpoint of that through the middle
-        first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * now, before)
-        may_cross = crosses(after, now, direction)
-        if k >= 0:
-            side = x[job.switches[k]]
-            # it may have jumped before the step
-            may_cross = either(side * after < 0.0, side * now < 0.0)
-            # of a body that slides, the side follows the sign
-            follows = both(both(slides[k] != 0.0, goes_on), now != 0.0)
-            stays[job.switches[k]] = choose(follows, choose(now < 0.0, -1.0, 1.0), side)
-        may_cross = either(may_cross, turns(first, after, now))
-        has_mark = is_number(mark)
-        is_new = both(both(may_cross, negated(either(has_mark, step <= skip))), goes_on)
-        if job.switches:  # none on a copy of the tile, within a step
-            is_new = both(is_new, apply("floor", step) == step)
-        if k >= 0:
-            is_new = both(is_new, slides[k] == 0.0)
-            divided.append(is_new)
-        known = marked[(n + len(e)) * i : (n + len(e)) * (i + 1)]
-        place = [choose(is_new, y, z) for y, z in zip((*last, *e), known, strict=True)]
-        new["marked"] += place
-        stay = has_mark if sleeps is None else either(has_mark, sleeps)
-        new["before"].append(choose(stay, before, after))
-        new["after"].append(choose(stay, after, now))
-        new["mark"].append(choose(is_new, step, mark))
-        is_seen = either(abs(now) < math.inf, negated(goes_on))
-        new["lost"].append(choose(is_seen, lost, 1.0))
-        if job.holds[i]:
-            is_marked = either(has_mark, is_new)
-            stays = [choose(is_marked, y, z) for y, z in zip(place[:n], stays, strict=True)]
-    if sleeps is not None:
-        stays = [choose(sleeps, y, z) for y, z in zip(last, stays, strict=True)]
-    largest = {of.name: scope.inputs(of.name, 1)[0] for of in of_steps}
-    # those of a step that is divided are computed where it is divided
-    counts = both(goes_on, negated(reduce(either, divided))) if divided else goes_on
-    most = [choose(counts, x, y) for x, y in zip(largest.values(), held, strict=True)]
-    each = {name: (x,) for name, x in zip(largest, most, strict=True)}
+        stays = [either(mark, sleeps) for mark in has_mark]
+        x = _chosen(reduce(either, [*is_new[events:], *has_mark[events:], sleeps]), last, x)
+    before, after, mark, lost = (_each(scope, x) for x in ("before", "after", "mark", "lost"))
+    step, unseen = _step(scope), negated(counts)
+    is_seen = [either(abs(g) < math.inf, unseen) for g in now]
+    new["before"] = [*map(choose, stays, before, after)]
+    new["after"] = [*map(choose, stays, after, now)]
+    new["mark"] = [choose(starts, step, y) for starts, y in zip(is_new, mark, strict=True)]
+    new["lost"] = [choose(seen, y, 1.0) for seen, y in zip(is_seen, lost, strict=True)]
     new["middle"] = [math.nan] * job.watched
-    return scope.finished(x=stays, last=stays, **new, held=most, **each)
+    return scope.finished(x=x, last=x, **new, **_largest(scope, counts, is_new[events:]))
+
+
+def _step(scope: Scope) -> Any:
+    """The step, counted from the end of the piece."""
+    return CLASSES[scope.precision](scope.graph.input("double", "step"))
+
+
+def _chosen(test: Any, a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    return [choose(test, y, z) for y, z in zip(a, b, strict=True)]
+
+
+def _new_marks(scope: Scope, now: Sequence[Any], counts: Any) -> list[Any]:
+    """Whether each function may cross zero in the last step, and is not marked yet."""
+    job, x, step = scope.job, scope.state(), _step(scope)
+    events, slides = len(job.events), scope.inputs("slides", len(job.switches))
+    names = ("before", "after", "skip", "mark", "middle")
+    is_new = []
+    for i, known in enumerate(zip(*(_each(scope, name) for name in names), now, strict=True)):
+        before, after, skip, mark, middle, g = known
+        # of the parabola through the last values; after a breakpoint of that through the middle
+        first = choose(is_number(middle), 6.0 * after - 8.0 * middle + 3.0 * g, before)
+        if i < events:
+            may_cross = crosses(after, g, job.events[i].direction)
+        else:  # its side may have changed before the step
+            side = x[job.switches[i - events]]
+            may_cross = either(side * after < 0.0, side * g < 0.0)
+        may_cross = both(either(may_cross, turns(first, after, g)), counts)
+        may_cross = both(may_cross, negated(either(is_number(mark), step <= skip)))
+        if job.switches:  # none on a copy of the tile, within a step
+            may_cross = both(may_cross, apply("floor", step) == step)
+        is_new.append(may_cross if i < events else both(may_cross, slides[i - events] == 0.0))
+    return is_new
+
+
+def _followed(scope: Scope, now: Sequence[Any], counts: Any) -> list[Any]:
+    """The state after a step, with sides of bodies that slide, which follow the sign."""
+    x = [*scope.state()]
+    slides = scope.inputs("slides", len(scope.job.switches))
+    for k, g, sliding in zip(scope.job.switches, now, slides, strict=True):
+        follows = both(both(sliding != 0.0, counts), g != 0.0)
+        x[k] = choose(follows, choose(g < 0.0, -1.0, 1.0), x[k])
+    return x
+
+
+def _largest(scope: Scope, counts: Any, divided: Sequence[Any]) -> dict[str, list[Any]]:
+    """The largest diagnostics of steps; those of a step that is divided are computed there."""
+    of_steps = scope.job.of_steps
+    counts = both(counts, negated(reduce(either, divided))) if divided else counts
+    largest = [scope.inputs(of.name, 1)[0] for of in of_steps]
+    held = _chosen(counts, largest, scope.inputs("held", len(of_steps)))
+    return {"held": held, **{of.name: [x] for of, x in zip(of_steps, held, strict=True)}}
 
 
 def crosses(a: Any, b: Any, direction: int) -> Any:
@@ -246,109 +256,3 @@ def turns(a: Any, b: Any, c: Any) -> Any:
     square, steep = bend * bend, 4.0 * slope * slope
     product = bend * (b + c)
     return (product > 0.0) & (steep < square) & (4.0 * product < steep + square)
-
-
-# the location
-
-
-def locate(
-    value: Callable[[Times, Any], Times], low: Points, at_high: Times, direction: int, least: Times,
-    *, beyond: bool = False,
-) -> Times:  # fmt: skip
-    """The shares of steps at which a function crosses zero, NaN where it does not.
-
-    ``value`` evaluates it at shares of some of the steps. It is known at the shares ``low``, from
-    which on it is looked for, and at the end; ``least`` is the width that ends a bracket. The share
-    is the end of the bracket that is nearer to zero, or that ``beyond`` zero.
-    """
-    high = np.ones(at_high.size), at_high
-    crossed = crosses(low[1], at_high, direction)
-    if not crossed.all():
-        rows = np.flatnonzero(~crossed)
-        first, last = ((share[rows], values[rows]) for share, values in (low, high))
-        *ends, crossed[rows] = _between(lambda x: value(x, rows), first, last, direction)
-        for bracket, new in zip((low, high), ends, strict=True):
-            bracket[0][rows], bracket[1][rows] = new
-    brackets = np.stack([*low, *high, high[0] - low[0], least])
-    return _bracketed(value, brackets, np.flatnonzero(crossed), beyond)
-
-
-def _between(
-    value: Callable[[Times], Times], low: Points, high: Points, direction: int
-) -> tuple[Points, Points, Any]:
-    """Brackets of crossings within steps at whose ends a function has the same sign.
-
-    The extremum is searched until the function has the other sign, or bends away from zero. Where
-    it is exactly zero in between, it has crossed, and crosses back after that point.
-    """
-    side, point = np.copysign(1.0, low[1] + high[1]), 0.5 * (low[0] + high[0])
-    inner, inside, todo = (point, value(point)), np.zeros(point.size, bool), low[0] < high[0]
-    todo &= (low[1] != 0.0) | (high[1] != 0.0)
-    for trial in range(_FEW):
-        touches = (inner[1] == 0.0) & (low[1] != 0.0) & (high[1] != 0.0)
-        inner = inner[0], np.where(touches, -_SMALLEST * side, inner[1])
-        first = todo & crosses(low[1], inner[1], direction)
-        second = todo & ~first & crosses(inner[1], high[1], direction)
-        low, high = _chosen(second, inner, low), _chosen(first, inner, high)
-        inside, todo = inside | first | second, todo & ~(first | second)
-        # the vertex of the parabola through the three, or nearer to the end beyond which that lies
-        p, q = inner[0] - low[0], inner[0] - high[0]
-        u, v = p * (inner[1] - high[1]), q * (inner[1] - low[1])
-        point = inner[0] - 0.5 * (p * u - q * v) / (u - v)
-        beyond = 0.5 * (inner[0] + np.where(point <= low[0], low[0], high[0]))
-        point = np.where((low[0] < point) & (point < high[0]), point, beyond)
-        todo = todo & ((u - v) * (p * q) * inner[1] > 0.0) & (np.abs(point - inner[0]) > 1e-7)
-        if trial == _FEW - 1 or not todo.any():
-            break
-        new = point, value(point)
-        is_nearer, is_left = side * new[1] <= side * inner[1], point < inner[0]
-        outer = _chosen(is_nearer, inner, new)
-        low = _chosen(todo & (is_nearer != is_left), outer, low)
-        high = _chosen(todo & (is_nearer == is_left), outer, high)
-        inner = _chosen(todo & is_nearer, new, inner)
-    return low, high, inside
-
-
-def _chosen(test: Any, a: Points, b: Points) -> Points:
-    return np.where(test, a[0], b[0]), np.where(test, a[1], b[1])
-
-
-def _bracketed(
-    value: Callable[[Times, Any], Times], brackets: Times, rows: Any, beyond: bool
-) -> Times:
-    """Where in brackets a function is zero (Oliveira and Takahashi, *ACM TOMS* 47 (2020)).
-
-    NaN but in the given ``rows``, and where the function is NaN. Of a function that is zero at one
-    end this is where it reaches or leaves zero, by the step function that is 1 on the other side.
-    """
-    share, brackets = np.full(brackets.shape[1], np.nan), brackets[:, rows]
-    leaves, reaches = brackets[1] == 0.0, brackets[3] == 0.0
-    flat = 1.0 * reaches - leaves
-    brackets[1], brackets[3] = np.where(flat, -1.0, brackets[1]), np.where(flat, 1.0, brackets[3])
-    brackets = np.vstack([brackets, flat])
-    for _ in range(_MOST):
-        low, at_low, high, at_high, radius, least, flat = brackets
-        is_nearer = (np.abs(at_low) <= np.abs(at_high)) & (not beyond)
-        is_low = np.where(flat != 0.0, flat < 0.0, is_nearer)
-        share[rows] = np.where(is_low, low, high)
-        share[rows[np.isnan(at_low + at_high)]] = np.nan
-        todo = (high - low > 4.0 * least) & (at_low * at_high < 0.0)
-        rows, brackets = rows[todo], brackets[:, todo]
-        if not rows.size:
-            break
-        low, at_low, high, at_high, radius, least, flat = brackets
-        width, middle = high - low, 0.5 * (low + high)
-        slack = np.maximum(radius - 0.5 * width, 0.0)
-        point = low - at_low * (width / (at_high - at_low))
-        side = np.where(middle >= point, 1.0, -1.0)
-        away = np.maximum(0.2 * width**2, least)
-        point = np.where(away <= np.abs(middle - point), point + side * away, middle)
-        point = np.where(np.abs(point - middle) <= slack, point, middle - side * slack)
-        there = value(point, rows)
-        stepped = np.where((there == 0.0) == (flat > 0.0), 1.0, -1.0)
-        new = point, np.where((flat != 0.0) & ~np.isnan(there), stepped, there)
-        is_low = ((new[1] > 0.0) == (at_low > 0.0)) & (new[1] != 0.0)
-        brackets[:2] = np.where(is_low, new, brackets[:2])
-        brackets[2:4] = np.where(is_low, brackets[2:4], new)
-        radius *= 0.5
-    return share

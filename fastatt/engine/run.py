@@ -15,7 +15,7 @@ from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.program import Program
 from fastatt.engine.status import FLAGS, Status
-from fastatt.engine.tape import BLOCK, CALLING_LENGTH, Action, Piece, Steps, Tape, times_of
+from fastatt.engine.tape import Action, Piece, Steps, Tape, times_of
 from fastatt.scene.models import Packed
 from fastatt.threads import in_threads
 
@@ -135,8 +135,8 @@ class Run:
         least, each = 8 * n_threads if n_threads > 1 else 1, _CALLING if calls else _TILES
         groups = min(tiles, max(least, tiles // each))
         self._bounds, self._n_threads = [tiles * i // groups for i in range(groups + 1)], n_threads
-        self._grain = self._pace = CALLING_LENGTH if calls else BLOCK
-        if not calls:
+        self._grain = self._pace = program.job.block
+        if not (calls or program.job.switches):
             most = min(n, width * -(-tiles // groups))
             self._pace = _OPERATIONS // max(1, program.job.operations) // most
             self._pace = min(self._pace, _EVENTS) if program.job.watched else self._pace

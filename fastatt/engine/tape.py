@@ -67,6 +67,8 @@ LEG = np.dtype(
 )
 #: steps of a block, after which rotation angles are checked, and of one whose steps call a function
 BLOCK, CALLING_LENGTH = 256, 2
+#: and of one of a scene with switches, whose bodies perform a piece again
+SWITCHING_LENGTH = 64
 #: legs and saves of a piece of a tape, at most
 _LEGS, _SAVES = 1 << 13, 1 << 12
 # records of the tapes of a run that are kept for the next run, at most
@@ -270,7 +272,7 @@ class Steps:
         on_step = rests == 0.0
         legs = slice(*np.searchsorted(self._starts, (position, end)))
         starts, jumps = self._starts[legs], self.legs["jumps"][legs] != 0
-        changes = starts[(starts > 0) | jumps]
+        changes = starts[((starts > 0) | jumps) & self._regrids]
         blocks = np.arange(position // self._block + 1, -(-end // self._block)) * self._block
         first, last = (x // self._every if self._every else 0 for x in (position, end))
         projected = np.arange(first + 1, last + 1) * self._every
@@ -293,13 +295,11 @@ class Steps:
         add(self._records, (Action.STEPS,), stops, taken=taken[:, None])
         add(self._records, (Action.PROJECT,), projected)
         add(self._records, (Action.SAVE,), saved[on_step], slots=slots[on_step, None])
-        if self._regrids:
-            add(self._records, (Action.LEAVE,), changes)
+        add(self._records, (Action.LEAVE,), changes)
         for k in range(int(self.legs["jumps"].max()).bit_length()):
             due = starts[(self.legs["jumps"][legs] >> k) & 1 != 0]
             add(self._records, (Action.JUMP + k,), due, side="right")
-        if self._regrids:
-            add(self._records, (Action.ENTER,), changes, side="right")
+        add(self._records, (Action.ENTER,), changes, side="right")
         about = {"rests": rests[~on_step, None], "slots": slots[~on_step, None]}
         add(self._copied, Action.SAVE, saved[~on_step], **about)
         add(self._records, (Action.LOOK,), looks, side="right")

@@ -29,7 +29,7 @@ from fastatt.files import target, writing
 from fastatt.propagation.initial import Initial
 
 # the layout of the arrays
-_FORMAT = f"14 {' '.join(of.name for of in DIAGNOSTICS)}"
+_FORMAT = f"15 {' '.join(of.name for of in DIAGNOSTICS)}"
 # s between two checkpoints
 _WRITTEN = 10.0
 # what the options of a run are

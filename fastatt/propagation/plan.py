@@ -25,7 +25,7 @@ from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
 from fastatt.engine.run_with_events import RunWithEvents
 from fastatt.engine.status import FLAGS, Bounded, Status
-from fastatt.engine.tape import BLOCK, CALLING_LENGTH, UNBROKEN, Piece, Steps
+from fastatt.engine.tape import UNBROKEN, Piece, Steps
 from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of, divisions_of
 from fastatt.propagation.choice_of_method import Choice
@@ -319,7 +319,7 @@ class Plan:
             breaks = breaks_within(self.scene, t0, schedule.duration)
         steps = Steps(
             schedule.legs(h, breaks), schedule.at, slots=schedule.slots if is_ring else None,
-            every=self.choice.projection, block=CALLING_LENGTH if job.calls else BLOCK,
+            every=self.choice.projection, block=job.block,
             regrids=job.regrids, resumes=resumed is not None, done=schedule.done,
             has_events=self._watched > 0, new=resumed is None or not self._is_same(resumed),
         )  # fmt: skip
