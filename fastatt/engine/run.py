@@ -48,10 +48,8 @@ class Results(NamedTuple):
     def empty(cls, shape: tuple[int, int], dtype: Any, events: int, saves: int) -> Results:
         """Arrays for (bodies, values), not initialised but for the times of events."""
         bodies, values = shape
-        saved, event_times = (
-            np.empty((saves, bodies, values + 1), dtype),
-            np.empty((bodies, events)),
-        )
+        saved = np.empty((saves, bodies, values + 1), dtype)
+        event_times = np.empty((bodies, events))
         event_times.fill(np.nan)
         return cls(saved, np.empty(bodies, FLAGS), event_times, [])
 

@@ -44,7 +44,7 @@ def principal(inertia: ArrayLike, *, allow_unphysical: bool = False) -> Principa
     except moments of 0; the symmetric part of a tensor is used.
     """
     tensor = checks.array("inertia", inertia, _SHAPES).astype(np.float64)
-    if (np.abs(tensor) > _LARGEST).any():
+    if max(tensor.max(), -tensor.min()) > _LARGEST:
         raise ValueError(f"inertia: found {np.abs(tensor).max():.6g}; accepted: up to {_LARGEST:g}")
     if not is_tensor(tensor):
         _check_moments(tensor, allow_unphysical)
@@ -173,7 +173,9 @@ def is_symmetric(moments: NDArray[Any]) -> NDArray[np.bool_]:
 
 def is_spherical(moments: NDArray[Any]) -> NDArray[np.bool_]:
     """Whether all moments (..., 3) are equal, to 1e-12 of the largest."""
-    return np.asarray(np.ptp(moments, axis=-1) <= EQUAL * np.max(moments, axis=-1))
+    a, b, c = np.moveaxis(moments, -1, 0)  # NumPy reduces short rows slowly
+    most = np.maximum(np.maximum(a, b), c)
+    return np.asarray(most - np.minimum(np.minimum(a, b), c) <= EQUAL * most)
 
 
 def _asymmetry(tensor: NDArray[Any]) -> NDArray[Any]:
@@ -189,17 +191,20 @@ def _past_triangle(a: Any, b: Any, c: Any) -> Any:
 
 
 def _check_moments(moments: NDArray[Any], allow_unphysical: bool) -> None:
-    a, b, c = moments.reshape(-1, 3).T  # NumPy reduces short rows slowly
-    tiny = [(x != 0.0) & (np.abs(x) < _SMALLEST) for x in (a, b, c)]
-    refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
-    if allow_unphysical:
-        bad = (a == 0.0) | (b == 0.0) | (c == 0.0)
-        refuse(moments, bad, "a principal moment is 0", "any other")
-        return
-    smallest = np.minimum(np.minimum(a, b), c)
+    a, b, c = moments.reshape(-1, 3).T
     insist = "or allow_unphysical=True"
-    reason = "a principal moment is not above 0"
-    refuse(moments, smallest <= 0.0, reason, f"moments above 0, {insist}")
+    if moments.min() < _SMALLEST:
+        tiny = [(x != 0.0) & (np.abs(x) < _SMALLEST) for x in (a, b, c)]
+        refuse(moments, tiny[0] | tiny[1] | tiny[2], "too small", f"from {_SMALLEST:g} kg·m² on")
+        if allow_unphysical:
+            bad = (a == 0.0) | (b == 0.0) | (c == 0.0)
+            refuse(moments, bad, "a principal moment is 0", "any other")
+        else:
+            bad = (a <= 0.0) | (b <= 0.0) | (c <= 0.0)
+            reason = "a principal moment is not above 0"
+            refuse(moments, bad, reason, f"moments above 0, {insist}")
+    if allow_unphysical:
+        return
     refuse(
         moments,
         _past_triangle(a, b, c),

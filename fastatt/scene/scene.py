@@ -30,6 +30,9 @@ from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.signature import SIGNATURES
 from fastatt.tracing.user import UserFunction
 
+# bodies of which the kind is asked first
+_FIRST = 64
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
@@ -258,9 +261,11 @@ class Scene:
         if self.torque is not None:
             return "torqued"
         moments = self.principal.moments
-        if is_spherical(moments).all():
-            return "spherical"
-        return "symmetric" if is_symmetric(moments).all() else "free"
+        for kind, is_so in (("spherical", is_spherical), ("symmetric", is_symmetric)):
+            # the first bodies tell that of most ensembles
+            if is_so(moments[:_FIRST]).all() and is_so(moments).all():
+                return kind
+        return "free"
 
     @property
     def is_constant(self) -> bool:
@@ -352,11 +357,13 @@ class Scene:
 
         ``sorted_axes`` puts the intermediate principal axis second; ``position`` is propagated too.
         """
-        key = "packed", sorted_axes, position
-        packed: Packed = self.memo.get(key) or self._packed(n_bodies, sorted_axes, position)
-        if packed.params.ndim == 1:
+        kept, key = self.memo.setdefault("packed", {}), (sorted_axes, position)
+        packed: Packed | None = kept.get(key)
+        if packed is None or n_bodies not in (None, self.rows or n_bodies):
+            if self.rows is not None:  # those of many bodies take memory
+                kept.clear()
+            packed = kept[key] = self._packed(n_bodies, *key)
             packed.params.setflags(write=False)
-            self.memo[key] = packed
         return packed
 
     @cached_property
