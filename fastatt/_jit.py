@@ -23,7 +23,7 @@ import numpy as np
 from numba import TypingError, config, njit, types
 from numba.extending import register_jitable
 
-from fastatt._numba import LOOP, NEW, compiled, differs, keep, moved
+from fastatt._numba import LOOP, NEW, compiled, differs, keep, moved, replacing
 from fastatt._store import kept
 
 _COMMON: dict[str, Any] = {"error_model": "numpy", "nogil": True}
@@ -172,7 +172,7 @@ def checked(function: Callable[..., Any]) -> Any:
         if NEW:
             _try_checks()
     except Exception as error:
-        what = f"an interface of _passes.py ({type(error).__name__}: {error})"
+        what = f"an interface of compiler passes ({type(error).__name__}: {error})"
         raise differs(what, "functions that are followed") from error
     return njit(pipeline_class=pipeline, **_CHECKED)(function)
 
@@ -196,8 +196,6 @@ def _powers(n: int, rounds: int) -> int:
 
 @functools.cache
 def _checking() -> type:
-    from fastatt._passes import replacing
-
     def exact(whole: Any, of_floats: Any) -> Any:
         @njit
         def operate(a, b):  # type: ignore[no-untyped-def]

@@ -83,7 +83,7 @@ class ScalarFunction:
             return _writer()(self)
         except Exception as error:
             rest = "all but single steps in jitted code, which alone use it"
-            what = f"an interface of codegen/written.py ({words_of(error)})"
+            what = f"an interface for types of functions ({words_of(error)})"
             raise differs(what, rest) from error
 
     def traced(self, forms: tuple[Any, ...]) -> Traced:
