@@ -238,7 +238,6 @@ class Job:
 
     def _updated(self, term: int, sampling: Any) -> Flat:
         scope = self.scope()
-        assert isinstance(scope.motion, Coupled)
         return scope.finished(x=scope.motion.updated(scope.time(), scope.state(), term, sampling))
 
     @cached_property
@@ -316,7 +315,7 @@ class Scope:
         self.attitude = job.attitude.short if is_short else job.attitude
         # time and parameters are of double precision, results of the state have its precision
         self.graph.narrow = self.precision == "single"
-        self.motion = motion_of(structure, self.attitude, p, like)
+        self.motion: Any = motion_of(structure, self.attitude, p, like)
         if job.windowed:
             self.motion.evaluate_between(*map(self.graph.time, window))
 
@@ -348,36 +347,28 @@ class Scope:
 
     def step(self, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
         """(state, squared rotation angle) after one step, or one stage."""
-        steps = self.job.method.steps
-        assert steps is not None
-        stepped: tuple[Vector, Any]
+        steps: Any = self.job.method.steps
+        rotation = self.job.structure.rotation
         if steps.stage is not None:
-            stepped = steps.stage(self.motion, t, h, k, x, e)
-        elif isinstance(rotation := self.job.structure.rotation, RigidBody) or rotation.law.states:
-            assert steps.body is not None
-            stepped = steps.body(self.motion, t, h, x)
-        else:
-            constant = rotation.law.is_constant
-            chosen = steps.constant if constant and steps.constant else steps.rate
-            assert chosen is not None
-            stepped = chosen(self.motion, t, h, x)
-        return stepped
+            return steps.stage(self.motion, t, h, k, x, e)
+        if isinstance(rotation, RigidBody) or rotation.law.states:
+            return steps.body(self.motion, t, h, x)
+        constant = steps.constant if rotation.law.is_constant else None
+        return (constant or steps.rate)(self.motion, t, h, x)
 
     def shown(self, t: Any, x: Vector, names: Sequence[str]) -> list[Vector]:
         """What terms of the torque show at a state, by their names, in doubles."""
         if not names:
             return []
-        assert isinstance(self.motion, Coupled)
         return [tuple(map(Double, numbers)) for numbers in self.motion.shown(t, x, names)]
 
     def crossed(self, t: Any, x: Vector) -> list[Any]:
         """The functions of the scene's switches at a state, in doubles."""
         if not self.job.switches:
             return []
-        assert isinstance(self.motion, Coupled)
         narrow, self.graph.narrow = self.graph.narrow, False
         try:
-            return self.motion.crossed(t, x)
+            return self.motion.crossed(t, x)  # type: ignore[no-any-return]
         finally:
             self.graph.narrow = narrow
 
@@ -421,7 +412,7 @@ class Scope:
             y, d = attitude.finish(a)
             return (attitude.raw(a) if self.job.raw else y), d
 
-        return self.motion.output(x, finish)
+        return self.motion.output(x, finish)  # type: ignore[no-any-return]
 
     def monitored(self, h: Any, x: Vector) -> Vector:
         """The initial invariants; NaN if products underflow on which a rotation angle depends."""

@@ -26,7 +26,7 @@ class Tableau(NamedTuple):
         return ((), *self.a)
 
 
-def stepped(tableau: Tableau, *, first_turn: bool = False) -> Any:
+def stepped(tableau: Tableau, *, first_turn: bool) -> Any:
     """The step of a tableau for any equations of motion.
 
     z is that of the fastest stage. ``first_turn`` uses the rotation of the body at the start of the

@@ -52,7 +52,7 @@ def portable(value: Any, within: tuple[Any, ...] = ()) -> Any:
     if plain is not value and plain.__module__.startswith("fastatt."):
         return "module", plain.__module__, plain.__name__
     if any(plain is x for x in within):
-        raise TraceError(f"recursion of {plain.__name__}")
+        raise TraceError(f"{plain.__name__} refers to itself")
     frozen.check(plain, texts=True)
     code, scope, within = plain.__code__, plain.__globals__, (*within, plain)
     n, named = code.co_argcount, plain.__kwdefaults__ or {}
@@ -81,8 +81,8 @@ def _with_compiled(value: Any) -> Any:
             return getattr(module, attribute[0]) if attribute else module
         case ("function", code, values, cells, defaults):
             read = marshal.loads(code)
-            scope = {"int": _whole(int), "round": _whole(round), "__builtins__": __builtins__}
-            scope |= {k: _with_compiled(x) for k, x in values}
+            scope = {"int": _whole(int), "round": _whole(round), "sum": checked(_total)}
+            scope |= {"__builtins__": __builtins__, **{k: _with_compiled(x) for k, x in values}}
             inner = tuple(python.CellType(_with_compiled(x)) for x in cells)
             values = _with_compiled(defaults)
             return checked(python.FunctionType(read, scope, read.co_name, values, inner))
@@ -97,6 +97,14 @@ def _whole(convert: Callable[..., Any]) -> Any:
         return convert(x, *digits)
 
     return whole
+
+
+def _total(values, start=0):  # type: ignore[no-untyped-def]
+    total = sum(values, start)
+    # within Numba's own code whole numbers are not checked
+    if abs(total - sum(values, 1.0 * start)) >= 1e18:
+        raise OverflowError
+    return total
 
 
 def _mathematics() -> Any:

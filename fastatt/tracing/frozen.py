@@ -355,6 +355,8 @@ class Freezer:
             return self.function(plain(value))
         if isinstance(value, np.generic):
             return value.item()
+        if isinstance(value, enum.Flag) and not _has_functions(type(value)):
+            return value
         if isinstance(value, tuple):
             parts = tuple(map(self, value))
             is_plain = hasattr(type(value), "_fields") and not _has_functions(type(value))
@@ -407,6 +409,9 @@ class Freezer:
                 continue
         frozen.__defaults__ = function.__defaults__ and tuple(map(self, function.__defaults__))
         frozen.__kwdefaults__ = {k: self(x) for k, x in (function.__kwdefaults__ or {}).items()}
+        for name, value in vars(function).items():
+            with contextlib.suppress(RefusedError, TraceError):  # which may never be read
+                setattr(frozen, name, self(value))
         return frozen
 
 
@@ -427,7 +432,8 @@ def _is_library(value: Any) -> bool:
 
 def _has_functions(cls: type) -> bool:
     """Whether a class has functions that its author wrote, such as methods of a named tuple."""
-    attributes = ((x, base) for base in cls.__mro__ for x in vars(base).values())
+    bases = (base for base in cls.__mro__ if base.__module__ != "enum")
+    attributes = ((x, base) for base in bases for x in vars(base).values())
     written = ((getattr(x, "fget", getattr(x, "__func__", x)), base) for x, base in attributes)
     return any(
         isinstance(x, types.FunctionType) and x.__module__ == base.__module__ for x, base in written

@@ -99,6 +99,21 @@ def test_leading_axes_broadcast(kind, leads):
 
 
 @pytest.mark.parametrize("kind", TYPES)
+def test_powers_of_two_and_exponents_are_exact(kind):
+    """Of all normal numbers."""
+    made = RowFunction(
+        lambda n, x: (graph.apply("power_of_two", n), graph.apply("exponent", x)),
+        {"n": None, "x": None}, (None, None), kind, native=True,
+    )  # fmt: skip
+    limits = np.finfo(TYPES[kind])
+    n = np.arange(limits.minexp, limits.maxexp)
+    for x in (1.0, 1.3, 2.0 - limits.eps):
+        powers, exponents = made(n, np.ldexp(TYPES[kind](x), n))
+        assert np.array_equal(powers, np.ldexp(TYPES[kind](1.0), n))
+        assert np.array_equal(exponents, n)
+
+
+@pytest.mark.parametrize("kind", TYPES)
 def test_threads_change_nothing(kind):
     arrays = given((40, 1), (5001,), (40, 5001), TYPES[kind])
     made = rows(blend, SHAPE, OUTPUTS, kind)

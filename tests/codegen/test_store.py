@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import weakref
 from pathlib import Path
@@ -70,6 +71,26 @@ def cache(tmp_path, monkeypatch):
     yield path
     store._found.cache_clear()
     modules.surroundings.cache_clear()
+
+
+def test_one_thread_compiles_at_a_time_but_none_within_numba_waits():
+    """Which another waits for that has the lock."""
+    entered = {within: threading.Event() for within in (False, True)}
+
+    def enter(within):
+        store.within_numba.set(within)
+        with store.alone():
+            entered[within].set()
+
+    threads = [threading.Thread(target=enter, args=[within]) for within in entered]
+    with store.alone():
+        for thread in threads:
+            thread.start()
+        assert entered[True].wait(60.0)
+        assert not entered[False].wait(0.1)
+    for thread in threads:
+        thread.join()
+    assert entered[False].is_set()
 
 
 # files

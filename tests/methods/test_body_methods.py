@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from exact import EPS, LENGTHY, START, angle, observed_order
 from oracle import floats
 
 import fastatt as fa
+from fastatt.methods import METHODS
 from fastatt.propagation.choice_of_method import methods_for
 from fastatt.scene.torque_record import Dependence
 
@@ -300,3 +302,21 @@ def test_matrices_that_are_no_rotation_within_a_step_keep_the_order(torque, repr
         representation=representation, **start,
     )  # fmt: skip
     assert angle(run.q[-1], reference.q[-1]) < 1e-13
+
+
+class Growth:
+    """x' = x, whose speed is x."""
+
+    attitude = SimpleNamespace(has_poles=False)
+    base = staticmethod(lambda x: x)
+    at = staticmethod(lambda t: t)
+    field = staticmethod(lambda t, x: x)
+    speed_squared = staticmethod(lambda t, slopes, x: x[0] ** 2)
+    advanced = staticmethod(lambda x, change: (x[0] + change[0],))
+
+
+@pytest.mark.parametrize(("method", "at_stage"), [("rk4", 1.0), ("rk8", np.exp(0.1))])
+def test_the_turn_of_a_step_is_that_of_its_start_or_of_its_last_stage(method, at_stage):
+    (end,), turn = METHODS[method].steps.body(Growth, 0.0, 0.1, (1.0,))
+    assert end == pytest.approx(np.exp(0.1), rel=1e-7)
+    assert turn == pytest.approx((0.1 * at_stage) ** 2, rel=1e-4)

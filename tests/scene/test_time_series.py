@@ -94,6 +94,13 @@ def test_polynomials_and_their_slopes_are_exact(n, spacing):
         assert np.array_equal(table.at(times), [[table(1.5)]])
 
 
+@pytest.mark.parametrize("times", [np.arange(10_001) / 7.0, np.arange(-10_000, 1) / 7.0])
+def test_times_that_are_even_to_the_rounding_of_the_largest_need_no_search(times):
+    assert fa.TimeSeries(times, times).layout.uniform
+    times[5] += 1e-9
+    assert not fa.TimeSeries(times, times).layout.uniform
+
+
 @pytest.mark.parametrize("at", [1, 2, 25, 48, 49, slice(3, 50, 7)])
 @pytest.mark.parametrize("short", [3e-6, 2e-4])
 def test_samples_that_nearly_coincide_do_not_magnify_noise(at, short):
