@@ -195,6 +195,11 @@ def cone(a, omega):
 
 # observed orders
 
+# three bodies whose rates change far faster than they rotate: the nodes limit the error of gauss12,
+# not its series
+SWIFT = Motion(np.array([0.01, 0.009, 0.011]), np.array([40.0, 36.0, 44.0]), np.zeros((3, 3, 3)))
+SWIFT_LADDER = (30, 36, 42, 48, 54)
+
 
 LADDER = np.array([2, 3, 4, 5, 6, 8, 12, 18, 24, 36, 48, 72, 96, 144, 192, 288, 384, 576, 768])
 
