@@ -63,6 +63,12 @@ class End:
         """The initial values."""
         return Initial(self.arrays["q"], self.arrays["y"], self.options["one_body"])
 
+    def kept(self, events: str) -> Mapping[str, NDArray[Any]]:
+        """What a run with some events goes on from: states, and what belongs to the same events."""
+        if self.options["events"] == events:
+            return self.arrays
+        return {"states": self.arrays["states"]}
+
     def check(
         self, equations: str, params: NDArray[np.float64], events: str,
         shapes: Mapping[str, tuple[int, ...]],
@@ -84,12 +90,12 @@ class End:
                 "since bodies stop at terminal ones"
             )
         for name, shape in shapes.items():
-            if name == "states" or self.options["events"] == events:
-                kept = self.arrays.get(name, np.zeros(0))
-                if kept.shape != shape or kept.dtype.kind != "f":
-                    raise ValueError(
-                        f"run: found {name} {kept.shape} of {kept.dtype}; accepted: floats {shape}"
-                    )
+            array = self.arrays.get(name, np.zeros(0))
+            is_needed = name == "states" or self.options["events"] == events
+            if is_needed and (array.shape != shape or array.dtype.kind != "f"):
+                raise ValueError(
+                    f"run: found {name} {array.shape} of {array.dtype}; accepted: floats {shape}"
+                )
 
     @property
     def digest(self) -> str:
@@ -128,6 +134,21 @@ class End:
         np.savez(whole, **arrays)
         with writing("path", path) as file:
             file.write(whole.getbuffer())
+
+
+def end_of(run: Any) -> End:
+    """The end that a trajectory or a file holds.
+
+    Raises ``TypeError`` and ``ValueError`` if there is none.
+    """
+    if isinstance(run, (str, os.PathLike)):
+        return loaded(run)
+    end = getattr(run, "end", None)
+    if isinstance(end, End):
+        return end
+    if hasattr(run, "status"):
+        raise ValueError(f"run: found {NO_END}")
+    raise TypeError(f"run: found {checks.brief(run)}; accepted: a trajectory or a file's path")
 
 
 def loaded(path: str | os.PathLike[str]) -> End:
@@ -170,21 +191,6 @@ def _array(file: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
         raise ValueError(member.filename)
     content.seek(0)
     return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
-
-
-def end_of(run: Any) -> End:
-    """The end that a trajectory or a file holds.
-
-    Raises ``TypeError`` and ``ValueError`` if there is none.
-    """
-    if isinstance(run, (str, os.PathLike)):
-        return loaded(run)
-    end = getattr(run, "end", None)
-    if isinstance(end, End):
-        return end
-    if hasattr(run, "status"):
-        raise ValueError(f"run: found {NO_END}")
-    raise TypeError(f"run: found {checks.brief(run)}; accepted: a trajectory or a file's path")
 
 
 class Checkpoints:

@@ -47,14 +47,6 @@ class Initial(NamedTuple):
         return cls(_rows(start, dtype), y, one_body)
 
 
-def _rows(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
-    """Contiguous rows (N, k) of a precision, one of a vector (k,)."""
-    if values.dtype != dtype:
-        with np.errstate(over="ignore"):
-            values = values.astype(dtype)
-    return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
-
-
 def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Attitudes, and the other initial values in the order of the state.
 
@@ -89,6 +81,14 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
         checks.refuse("s0 of a Switch", side, is_none, "1, -1 or 0")
         _warn_of_speeds(scene, carried["s0"], carried.get("w0"))
     return start, carried
+
+
+def _rows(values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Contiguous rows (N, k) of a precision, one of a vector (k,)."""
+    if values.dtype != dtype:
+        with np.errstate(over="ignore"):
+            values = values.astype(dtype)
+    return np.ascontiguousarray(values).reshape(-1, values.shape[-1])
 
 
 def _refused(scene: Scene, name: str, value: Any) -> ValueError:

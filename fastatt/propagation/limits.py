@@ -130,6 +130,20 @@ class StepLimits:
         return f"dt: found steps of {rounded}" if rounded else ""
 
 
+def warn_of_status(status: NDArray[FLAGS], *, is_warned: bool) -> None:
+    """Warn, once, of the bodies with a flag, unless the steps ``is_warned`` of are the reason."""
+    if not np.count_nonzero(status):
+        return
+    flagged, of_steps = np.flatnonzero(status), Status.STEP_TOO_LARGE | Status.NON_FINITE
+    if not (is_warned and (status & of_steps).any()):
+        flags = ", ".join(f"{name} ({count})" for name, count in count_flags(status).items())
+        rounding.warn(
+            f"status: found {flags}, {flagged.size} of {status.size} bodies, the first of them "
+            f"body {flagged[0]}; their results are not to be trusted",
+            RuntimeWarning,
+        )
+
+
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
     """The angle that the method limits, rad, in each body's first step; w is (N, 3)."""
     from fastatt.invariants.energy import angular_momentum
@@ -160,17 +174,3 @@ def _lengths(v: NDArray[Any]) -> NDArray[np.float64]:
 def _step_of(h: Any, measured: NDArray[Any]) -> float:
     """The size of the step of the body of which most was measured, s."""
     return abs(float(np.broadcast_to(h, measured.shape)[measured.argmax()]))
-
-
-def warn_of_status(status: NDArray[FLAGS], *, is_warned: bool) -> None:
-    """Warn, once, of the bodies with a flag, unless the steps ``is_warned`` of are the reason."""
-    if not np.count_nonzero(status):
-        return
-    flagged, of_steps = np.flatnonzero(status), Status.STEP_TOO_LARGE | Status.NON_FINITE
-    if not (is_warned and (status & of_steps).any()):
-        flags = ", ".join(f"{name} ({count})" for name, count in count_flags(status).items())
-        rounding.warn(
-            f"status: found {flags}, {flagged.size} of {status.size} bodies, the first of them "
-            f"body {flagged[0]}; their results are not to be trusted",
-            RuntimeWarning,
-        )

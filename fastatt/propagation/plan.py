@@ -232,7 +232,8 @@ class Plan:
                 ends_on_step = schedule.t_end is None and not schedule.is_per_body
                 if checkpoint is not None:
                     takers.append(Checkpoints(checkpoint, write, whole=ends_on_step).take)
-                run, is_warned = self._step(start, t0, output, takers, n_threads, resumed)
+                kept = None if resumed is None else resumed.kept(self.events_key)
+                run, is_warned = self._step(start, t0, output, takers, n_threads, kept)
                 if keeps_end and ends_on_step and self.n_bodies <= min(MOST, PART):
                     end = write(run, schedule.end)
             limits.warn_of_status(output.results.status, is_warned=is_warned)
@@ -256,7 +257,8 @@ class Plan:
 
     def _step(
         self, start: Initial, t0: float, output: Output,
-        takers: Sequence[Callable[[Run, Piece], None]], n_threads: int, resumed: End | None,
+        takers: Sequence[Callable[[Run, Piece], None]], n_threads: int,
+        kept: Mapping[str, Any] | None,
     ) -> tuple[Run, bool]:  # fmt: skip
         """Take all steps, in pieces; returns the last run, and whether a warning was given.
 
@@ -266,16 +268,16 @@ class Plan:
         n, results, is_ring = self.n_bodies, output.results, output.is_ring
         squares, told = np.zeros(n, self.dtype), np.zeros((2, n, self._watched), np.bool_)
         warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
-        if self.scene.states and self.schedule.n_steps and resumed is None:
+        if self.scene.states and self.schedule.n_steps and kept is None:
             self.limits.warn_of_states(self.packed, start, t0)
-        is_one = is_ring or len(takers) > 1 or resumed is not None
+        is_one = is_ring or len(takers) > 1 or kept is not None
         groups = self.schedule.groups(n, n if is_one else PART)
         for rows, h in groups:
             group, saved = results.of_bodies(rows), 0
             try:
                 run = (RunWithEvents if self._watched else Run)(
-                    self.setup, self._steps(h, t0, resumed, is_ring=is_ring), (start.q, start.y),
-                    rows, group, t0, n_threads, self._goes_on_from(resumed),
+                    self.setup, self._steps(h, t0, kept, is_ring=is_ring), (start.q, start.y),
+                    rows, group, t0, n_threads, kept,
                 )  # fmt: skip
                 for piece in run.pieces(output.stops):
                     run.advance(piece)
@@ -298,21 +300,16 @@ class Plan:
             warn_of_events(told, len(self.choice.events), self._switches)
         return run, warned
 
-    def _goes_on_from(self, resumed: End | None) -> Mapping[str, Any] | None:
-        """What a run goes on from: the states, and what is known of the same events."""
-        if resumed is None or self._is_same(resumed):
-            return None if resumed is None else resumed.arrays
-        return {"states": resumed.arrays["states"]}
+    def _steps(
+        self, h: float, t0: float, kept: Mapping[str, Any] | None, *, is_ring: bool
+    ) -> Steps:
+        """The steps of bodies with the step size h, that may go on from what another run kept.
 
-    def _is_same(self, resumed: End) -> bool:
-        """Whether the run that is resumed had the same events."""
-        return bool(resumed.options["events"] == self.events_key)
-
-    def _steps(self, h: float, t0: float, resumed: End | None, *, is_ring: bool) -> Steps:
-        """The steps of bodies with the step size h; saves go to a ring of slots."""
+        Saves may go to a ring of slots.
+        """
         assert self.program is not None
         schedule, job, breaks = self.schedule, self.program.job, UNBROKEN
-        is_plain, key = resumed is None and not is_ring, (h, t0 if job.windowed else 0.0)
+        is_plain, key = kept is None and not is_ring, (h, t0 if job.windowed else 0.0)
         if is_plain and (known := self.kept_steps.get(key)):
             return known
         if job.windowed:
@@ -320,8 +317,8 @@ class Plan:
         steps = Steps(
             schedule.legs(h, breaks), schedule.at, slots=schedule.slots if is_ring else None,
             every=self.choice.projection, block=job.block,
-            regrids=job.regrids, resumes=resumed is not None, done=schedule.done,
-            has_events=self._watched > 0, new=resumed is None or not self._is_same(resumed),
+            regrids=job.regrids, resumes=kept is not None, done=schedule.done,
+            has_events=self._watched > 0, new=kept is None or "of_events" not in kept,
         )  # fmt: skip
         if is_plain:
             while len(self.kept_steps) >= _KEPT:

@@ -195,36 +195,6 @@ def propagate(
     return planned.run(start, t0, **options)
 
 
-def _planned(
-    scene: Scene,
-    n_bodies: int,
-    dtype: Any,
-    choice: Choice,
-    position: bool,
-    begin: float,
-    *when: Any,
-) -> Plan:
-    """The plan of a run; ``when`` are the arguments of ``schedule_of``."""
-    schedule = schedule_of(*when, t0=begin, bodies=n_bodies)
-    return prepared(scene, n_bodies, choice, schedule, dtype, position=position)
-
-
-def _memoised(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function makes of a scene and arguments, which the scene remembers."""
-    # equal arguments of other types may be refused
-    key = (make, *((type(x), x) for x in arguments))
-    try:
-        value = scene.memo.get(key)
-    except TypeError:  # an argument without a hash
-        return make(scene, *arguments)
-    if value is None:
-        value = make(scene, *arguments)
-        while len(scene.memo) >= _KEPT:
-            scene.memo.pop(next(iter(scene.memo)), None)
-        scene.memo[key] = value
-    return value
-
-
 def plan(
     scene: Scene,
     n_bodies: int,
@@ -328,3 +298,33 @@ def plan(
         has_fixed_t0=n_steps is None or save_at is not None,
         remake=partial(plan, **arguments),
     )
+
+
+def _planned(
+    scene: Scene,
+    n_bodies: int,
+    dtype: Any,
+    choice: Choice,
+    position: bool,
+    begin: float,
+    *when: Any,
+) -> Plan:
+    """The plan of a run; ``when`` are the arguments of ``schedule_of``."""
+    schedule = schedule_of(*when, t0=begin, bodies=n_bodies)
+    return prepared(scene, n_bodies, choice, schedule, dtype, position=position)
+
+
+def _memoised(scene: Scene, make: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function makes of a scene and arguments, which the scene remembers."""
+    # equal arguments of other types may be refused
+    key = (make, *((type(x), x) for x in arguments))
+    try:
+        value = scene.memo.get(key)
+    except TypeError:  # an argument without a hash
+        return make(scene, *arguments)
+    if value is None:
+        value = make(scene, *arguments)
+        while len(scene.memo) >= _KEPT:
+            scene.memo.pop(next(iter(scene.memo)), None)
+        scene.memo[key] = value
+    return value

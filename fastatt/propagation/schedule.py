@@ -201,6 +201,15 @@ def whole_steps(duration: Any, dt: Any, slack: float) -> tuple[Any, Any]:
     return np.where(is_whole, nearest, np.ceil(exact)).astype(np.int64), is_whole
 
 
+def after(t_end: Any, t0: float, dt: float = 1.0) -> float:
+    """The time of the end of a run, s, after the start in the direction of the steps."""
+    end = checks.real("t_end", t_end)
+    if not (end > t0 if dt > 0.0 else end < t0):
+        where = "after" if dt > 0.0 else "before"
+        raise ValueError(f"t_end: found {end}; accepted: a time {where} t0, {t0}")
+    return end
+
+
 def _step_sizes(dt: Any, bodies: int) -> NDArray[np.float64]:
     """The step size (1,), or those of the bodies (N,), s."""
     if not isinstance(dt, (list, tuple)) and getattr(dt, "ndim", 0) == 0:
@@ -238,15 +247,6 @@ def _end(t_end: Any, save_at: NDArray[np.float64] | None, t0: float, dt: float) 
         raise ValueError("n_steps, t_end: found neither; accepted: one of them")
     last = float(save_at[-1])
     return last if (last - t0) * dt > 0.0 else t0  # the save is refused, if it is not at t0
-
-
-def after(t_end: Any, t0: float, dt: float = 1.0) -> float:
-    """The time of the end of a run, s, after the start in the direction of the steps."""
-    end = checks.real("t_end", t_end)
-    if not (end > t0 if dt > 0.0 else end < t0):
-        where = "after" if dt > 0.0 else "before"
-        raise ValueError(f"t_end: found {end}; accepted: a time {where} t0, {t0}")
-    return end
 
 
 def _counts(n_steps: Any, n: int) -> NDArray[np.int64]:

@@ -261,15 +261,15 @@ class Trajectory:
         packed = self.packed
         if packed is not None and packed.params.ndim == 2:
             packed = packed._replace(params=packed.params[body][:, None])
-        at = replace(
+        crossed = replace(
             self, t=t, state=saved[..., :stored], one_body=True, packed=packed, carried=carried,
             first_crossings=None,
         )  # fmt: skip
-        q, named = at.q, {name: getattr(at, name) for name in carried}
+        q, named = crossed.q, {name: getattr(crossed, name) for name in carried}
         if self.attitude is not QUATERNION:  # of neither sign, since these are many bodies
             q = q * np.copysign(1.0, q[:, :1])
         if packed is not None:  # a prescribed rate
-            named["w"] = at.w
+            named["w"] = crossed.w
         return Crossings(body, t, q, *(named.get(name) for name in ("w", "v", "r", "s")))
 
     def _carried(self, name: str, needs: str) -> NDArray[Any]:
