@@ -40,10 +40,16 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+#: folders whose files run the same programs
+_SHARING = ("estimation", "gyro", "trade")
+
+
 @pytest.fixture(scope="module", autouse=True)
-def _forget():
+def _forget(request):
     """Clear the library's caches after each file, so that its programs can be collected."""
     yield
+    if request.path.parent.name in _SHARING:
+        return
     for name, module in list(sys.modules.items()):
         if name.startswith("fastatt."):
             for value in list(vars(module).values()):

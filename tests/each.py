@@ -39,3 +39,9 @@ def each(names, cases):
         return of_all
 
     return decorate
+
+
+def often(is_chosen, cases):
+    """For ``pytest.mark.parametrize``: the chosen cases, and the others in the slow tier."""
+    slow = {False: pytest.mark.slow, True: ()}
+    return [pytest.param(*case, marks=slow[bool(is_chosen(*case))]) for case in cases]

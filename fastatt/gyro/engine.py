@@ -21,7 +21,6 @@ Array = NDArray[Any]
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 # tiles between two checks for Ctrl-C: some 0.05 s
 _PIECE = 4096
-_NONE = {np.dtype(precise): np.empty(0, precise) for precise in (np.float64, np.float32)}
 
 
 class Samples(NamedTuple):
@@ -50,35 +49,6 @@ class Samples(NamedTuple):
         return self._replace(data=data, spans=spans, lead=0)
 
 
-def integrate(samples: Samples, out: Array, start: Array, n_threads: int | None) -> float:
-    """Write the attitudes of whole logs, which begin at ``start``, into ``out``.
-
-    The windows begin anew at cuts. Returns the largest component of an angle over an interval, rad;
-    infinity if it is unknown.
-    """
-    n_logs, count, seen = len(out), out.shape[1] - 1, 0.0
-    out[:, 0] = start
-    window = samples.method.window
-    places = [k for k, _ in cuts(window.uneven, samples.spans)] if window.intervals > 1 else []
-    if not places:
-        return advance(samples, out, beginning(start, n_logs, out.dtype), n_threads=n_threads)
-    for first, last in stretches(places, count):
-        attitudes, before = out[:, first : last + 1], out[:, first].copy()
-        attitudes[:, 0] = unit = normalised(before) if first else start
-        part, q = samples.between(first, last), beginning(unit, n_logs, out.dtype)
-        seen = max(seen, advance(part, attitudes, q, n_threads=n_threads))
-        attitudes[:, 0] = before  # which is not normalised in the result
-    return seen
-
-
-def beginning(unit: Array, n_logs: int, precision: np.dtype[Any]) -> Array:
-    """The initial state of logs: unit quaternions p, (4,) or (N, 4), and the identity r."""
-    q = np.zeros((n_logs, 8), precision)
-    q[:, :4] = unit
-    q[:, 4] = 1.0
-    return q
-
-
 def advance(
     samples: Samples, out: Array, q: Array, *, phase: int = 0, n_threads: int | None = 1
 ) -> float:
@@ -90,13 +60,13 @@ def advance(
     """
     window, count = samples.method.window, out.shape[1] - 1
     rest = count % window.span if window.iteration else 0
-    whole = count - rest
-    if not rest:
-        return _through_windows(samples, out, q, phase, n_threads) if whole else 0.0
+    whole, seen = count - rest, 0.0
     if whole:
-        _through_windows(samples, out[:, : whole + 1], q, phase, n_threads)
-    _finish(samples, out[:, whole:])
-    return np.inf
+        seen = _through_windows(samples, out[:, : whole + 1], q, phase, n_threads)
+    if rest:
+        _finish(samples, out[:, whole:])
+        seen = np.inf
+    return seen
 
 
 def _through_windows(
@@ -112,35 +82,49 @@ def _through_windows(
     groups, n_tiles = (-(-n_logs // LANES), n_chunks) if by_log else (n_logs, n_tiles)
     threads = 1 if n_logs <= LANES else number_of(n_threads)
     size = n_tiles * max(1, min(-(-groups // threads), _PIECE // n_tiles))
-    run, total = loop(windows.precision), groups * n_tiles
+    run, seen = loop(windows.precision), []
 
-    def task(tile: int) -> float:
-        last, largest = min(tile + size, total), np.zeros(1)
+    def task(first: int) -> None:
+        last, largest = min(first + size, groups * n_tiles), np.zeros(1)
+        tile = first
         while tile < last:
             part = Part(count, phase, n_chunks, by_log, windows.entry, windows.any_angle)
             end = min(tile + _PIECE, last)
             tile = run(windows.shape, logs, part, windows.memory(), largest, tile, end)
             if tile < end:
                 windows.compile_any_angle()
-        return float(largest[0])
+        seen.append(float(largest[0]))
 
-    if size >= total:  # threads take time
-        seen = task(0)
+    pieces = range(0, groups * n_tiles, size)
+    if len(pieces) == 1:  # threads take time
+        task(0)
     else:
-        seen = max(in_threads([partial(task, first) for first in range(0, total, size)], threads))
+        in_threads([partial(task, first) for first in pieces], threads)
     if attitudes is not out:
         out[:] = attitudes
-    return seen
+    return max(seen)
 
 
 def _prepared(samples: Samples, out: Array, q: Array) -> tuple[GyroProgram, Logs]:
     """The program of a window, and the arrays that it works on."""
-    method, increments, data, spans, lead = samples
-    window, uneven = method.window, isinstance(spans, np.ndarray)
+    window = samples.method.window
+    _, increments, data, spans, lead = samples
+    uneven = isinstance(spans, np.ndarray)
+    n = data.shape[1]
     missing = 0 if window.iteration else -(out.shape[1] - 1) % window.span
     before, after = ends.beyond(data, spans, window, increments, missing)
-    known, interval = (spans, 0.0) if uneven else (_NONE[data.dtype], float(spans))
-    logs = Logs(data, before, after, known, attitudes=out, q=q, lead=lead, interval=interval)
+    if not missing:  # samples after a complete last window are not used; the last one is repeated
+        after = data[:, n - 1 :]
+    logs = Logs(
+        samples=data,
+        before=before.astype(data.dtype, "C"),
+        after=after.astype(data.dtype, "C"),
+        intervals=spans if uneven else np.empty(0, data.dtype),
+        attitudes=out,
+        q=q,
+        lead=lead,
+        interval=0.0 if uneven else float(spans),
+    )
     return program(window, increments, data.dtype, uneven), logs
 
 
@@ -153,3 +137,30 @@ def _finish(samples: Samples, out: Array) -> None:
     start = beginning(NO_TURN, len(out), out.dtype)
     _through_windows(Samples(method, increments, fine, apart), turns, start, 0, 1)
     out[:, 1:] = quat_multiply(out[:, :1], turns[:, places])
+
+
+def integrate(samples: Samples, out: Array, start: Array, n_threads: int | None) -> float:
+    """Write the attitudes of whole logs, which begin at ``start``, into ``out``.
+
+    The windows begin anew at cuts. Returns the largest component of an angle over an interval, rad;
+    infinity if it is unknown.
+    """
+    n_logs, count, seen = len(out), out.shape[1] - 1, 0.0
+    out[:, 0] = start
+    window = samples.method.window
+    places = [k for k, _ in cuts(window.uneven, samples.spans)] if window.intervals > 1 else []
+    for first, last in stretches(places, count):
+        attitudes, before = out[:, first : last + 1], out[:, first].copy()
+        attitudes[:, 0] = unit = normalised(before) if first else start
+        part, q = samples.between(first, last), beginning(unit, n_logs, out.dtype)
+        seen = max(seen, advance(part, attitudes, q, n_threads=n_threads))
+        attitudes[:, 0] = before  # which is not normalised in the result
+    return seen
+
+
+def beginning(unit: Array, n_logs: int, precision: np.dtype[Any]) -> Array:
+    """The initial state of logs: unit quaternions p, (4,) or (N, 4), and the identity r."""
+    q = np.zeros((n_logs, 8), precision)
+    q[:, :4] = unit
+    q[:, 4] = 1.0
+    return q

@@ -321,7 +321,9 @@ def test_a_measurement_without_a_finite_nis_is_no_success():
         before = f.q.copy()
         with (
             np.errstate(over="ignore", invalid="ignore"),
-            pytest.raises(ValueError, match=r"measured\[0\]: has a normalised innovation"),
+            pytest.raises(
+                ValueError, match=r"measured\[0\]: has a normalised innovation squared of"
+            ),
         ):
             f.update_vector([1e200, 0.0, 0.0], DOWN, 0.1)
         assert np.array_equal(f.q, before)

@@ -118,14 +118,12 @@ def test_a_long_gap_is_warned_of_unless_it_is_accepted():
 @pytest.mark.parametrize(
     ("method", "increments", "sizes", "left"),
     [
-        ("hold", False, [1, 1, 1, 1, 1], 0),
-        ("hold", True, [2, 1, 1, 1, 1], 0),
+        ("hold", False, [1, 1, 1, 1, 1], 0), ("hold", True, [2, 1, 1, 1, 1], 0),
         ("previous", False, [1, 0, 2, 1, 1], 0),  # the first interval takes three rates
         ("previous", True, [1, 2, 1, 1, 1], 0),
-        ("coning2", False, [1, 0, 2, 0, 2], 0),
-        ("coning2", True, [1, 2, 0, 2, 0], 1),
+        ("coning2", False, [1, 0, 2, 0, 2], 0), ("coning2", True, [1, 2, 0, 2, 0], 1),
     ],
-)
+)  # fmt: skip
 def test_attitudes_come_as_soon_as_they_are_final(method, increments, sizes, left):
     flow = fa.GyroIntegrator(START, 0.1, method=method, increments=increments)
     assert [len(flow.push((0.1, 0.2, 0.3))) for _ in sizes] == sizes

@@ -46,17 +46,13 @@ def read(text, tmp_path):
 
 
 KINDS = [
-    ("2.0", NEW | PLAIN),
-    ("2.0", NEW | ANGVEL),
+    ("2.0", NEW | PLAIN), ("2.0", NEW | ANGVEL), ("2.0", NEW | SWAPPED | ANGVEL),
     ("2.0", NEW | ANGVEL | {"ANGVEL_FRAME": "EME2000"}),
-    ("2.0", NEW | SWAPPED | ANGVEL),
-    ("1.0", OLD | PLAIN),
-    ("1.0", OLD | PLAIN | {"QUATERNION_TYPE": "FIRST"}),
+    ("1.0", OLD | PLAIN), ("1.0", OLD | PLAIN | {"QUATERNION_TYPE": "FIRST"}),
     ("1.0", OLD | PLAIN | {"ATTITUDE_DIR": "B2A", "QUATERNION_TYPE": "FIRST"}),
     ("1.0", OLD | SWAPPED | PLAIN | {"ATTITUDE_DIR": "B2A"}),
-    ("1.0", OLD | RATE),
-    ("1.0", OLD | RATE | {"RATE_FRAME": "REF_FRAME_A"}),
-]
+    ("1.0", OLD | RATE), ("1.0", OLD | RATE | {"RATE_FRAME": "REF_FRAME_A"}),
+]  # fmt: skip
 
 
 @each(("version", "metadata"), KINDS)
@@ -337,13 +333,11 @@ def test_unix_time_skips_leap_seconds():
 @each(
     "epoch",
     [
-        "2026-01-01T12:00:00",
-        "2026-01-01 12:00",
-        "2026-01-01T14:00:00+02:00",
+        "2026-01-01T12:00:00", "2026-01-01 12:00", "2026-01-01T14:00:00+02:00",
         datetime.fromisoformat("2026-01-01T12:00"),
         datetime(2026, 1, 1, 14, tzinfo=timezone(timedelta(hours=2))),
     ],
-)
+)  # fmt: skip
 def test_epochs_are_datetimes_and_iso_strings(epoch):
     assert aem_from(epoch=epoch).segments[0].epoch == "2026-01-01T12:00:00"
 

@@ -210,7 +210,6 @@ def of_own(**options):
 
 COUNTS = np.arange(20, 90)
 FAST = {"q0": Q, "w0": [1e200, 0.0, 0.0]}
-TOO_FAST = "w0[0] is 1e+200; accepted: up to 1e+150 rad/s"
 STUDY = fa.work_precision
 
 ENDS = [
@@ -293,7 +292,8 @@ REFUSED = [
     ("save_at: found times out of order", of_own(save_at=[0.2, 0.1])),
     # mass, position, states and samples
     ("v0: is missing; a scene with mass needs", body(scene=MOVED)),
-    ("r: is not carried; it is in a scene with mass", lambda: body(scene=MOVED, v0=[0, 0, 1])().r),
+    ("r: is not carried; it is in a scene with mass",
+     lambda: body(scene=MOVED, v0=[0, 0, 1], method="rk4")().r),
     ("v0: found, but this scene has none; a scene with mass", body(v0=[0, 0, 1])),
     ("method: found 'cf4'; accepted: rk4, rk8, rk9, gbs16 (cf4 steps no vel",
      body(scene=MOVED, v0=[0, 0, 1], method="cf4")),
@@ -442,6 +442,12 @@ REFUSED = [
     ("sample: found 0", advised(STUDY, sample=0)),
     ("methods: found 'rk4' twice; accepted: different names",
      advised(STUDY, methods=["rk4", "rk4"])),
+    *[("n_steps: found", advised(STUDY, n_steps=x), error)
+     for x, error in (([0], ValueError), (20, TypeError), ([], ValueError))],
+    *[(f"quantile: found {x}; accepted: a num", call) for x in (0.0, 1.5)
+     for call in (advised(quantile=x), own_steps(quantile=x))],
+    *[(f"{name}: found 0", partial(fa.check_convergence, CONES, THREE, dt=0.1,
+     **{"n_steps": 4, name: 0})) for name in ("n_steps", "sample")],
     ("dt: found 4.0 with … sampled every 0.25 s",
      partial(fa.check_convergence, SAMPLED, Q, SPIN, s0=[0] * 3, dt=4.0, n_steps=5, method="rk4")),
 ]  # fmt: skip

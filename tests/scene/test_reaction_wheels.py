@@ -40,6 +40,7 @@ def wheels(**options):
 DRIVEN = wheels(command=spin_up, params=(0.3, 0.02), **FRICTION)
 SCENE = fa.Scene(inertia=DRIVEN.body_inertia(WHOLE), torque=DRIVEN)
 S0 = DRIVEN.momenta(SPEEDS, W0)
+PUSH = (0.02, 0.0, -0.01)
 
 
 def truth(end, motors, n_more=0, scene_torque=None, begin=None):
@@ -70,6 +71,12 @@ def truth(end, motors, n_more=0, scene_torque=None, begin=None):
 def friction(speeds):
     x = np.array(speeds)
     return np.array(FRICTION["viscous"]) * x + 0.01 * x / np.hypot(x, 2.0)
+
+
+def pushed(model):
+    """A spacecraft with wheels and a disturbance."""
+    terms = fa.torques.Sum((fa.torques.Constant(PUSH), model))
+    return fa.Scene(inertia=model.body_inertia(WHOLE), torque=terms)
 
 
 def agree(run, model, wanted, within):
@@ -150,21 +157,18 @@ def energy_of(run, scene):
 def test_a_model_commands_the_torque_on_the_body():
     """PID control by four wheels, of each body with gains of its own, beside a disturbance."""
     gains = np.array([[0.8, 0.2, 1.2], [0.5, 0.1, 1.0]])
-    push = (0.02, 0.0, -0.01)
     model = wheels(command=fa.torques.Custom(pid, gains, states=3), **FRICTION)
-    terms = fa.torques.Sum((fa.torques.Constant(push), model))
-    scene = fa.Scene(inertia=model.body_inertia(WHOLE), torque=terms)
+    scene = pushed(model)
     assert scene.states == 7
     assert [f.followed for f in scene.functions] == [True]
-    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(3)])
     for body, p in enumerate(gains):
 
         def motors(t, q, w, speeds, more, p=p):
             torque, changes = pid(t, q, w, more, p)
             return -np.linalg.pinv(AXES.T) @ torque - friction(speeds), changes
 
-        wanted = truth(5.0, motors, 3, lambda t: np.array(push))
-        agree(fa.propagate(scene[[body]], Q0, W0, s0=s0, **RUN), model, wanted, 1e-10)
+        run = fa.propagate(scene[[body]], Q0, W0, s0=np.append(S0, np.zeros(3)), **RUN)
+        agree(run, model, truth(5.0, motors, 3, lambda t: np.array(PUSH)), 1e-10)
 
 
 def law(t, q, w, s, p):
@@ -177,19 +181,15 @@ def law(t, q, w, s, p):
 
 def test_a_function_with_states_reads_the_speeds():
     model = wheels(command=law, params=(0.8, 0.2), states=3, **FRICTION)
-    push = (0.02, 0.0, -0.01)
-    scene = fa.Scene(
-        inertia=model.body_inertia(WHOLE), torque=fa.torques.Sum((fa.torques.Constant(push), model))
-    )
+    scene = pushed(model)
     assert scene.states == 7
-    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(3)])
 
     def motors(t, q, w, speeds, more):
         found, changes = law(t, q, w, (*speeds, *more), (0.8, 0.2))
         return np.array(found) - friction(speeds), changes
 
-    wanted = truth(5.0, motors, 3, lambda t: np.array(push))
-    agree(fa.propagate(scene, Q0, W0, s0=s0, **RUN), model, wanted, 1e-10)
+    run = fa.propagate(scene, Q0, W0, s0=np.append(S0, np.zeros(3)), **RUN)
+    agree(run, model, truth(5.0, motors, 3, lambda t: np.array(PUSH)), 1e-10)
 
 
 def test_a_sampled_function_reads_the_speeds():
@@ -198,7 +198,7 @@ def test_a_sampled_function_reads_the_speeds():
     model = wheels(command=law, params=(0.8, 0.2), states=3, period=period, **FRICTION)
     scene = fa.Scene(inertia=model.body_inertia(WHOLE), torque=model)
     assert scene.states == 11
-    s0 = np.concatenate([model.momenta(SPEEDS, W0), np.zeros(7)])
+    s0 = np.append(S0, np.zeros(7))
     # a step size that does not divide the period
     run = fa.propagate(scene, Q0, W0, s0=s0, dt=0.02, t_end=5.0 * period + 0.1, method="rk8")
     found, memory = (Q0, W0, SPEEDS), np.zeros(3)

@@ -374,6 +374,3 @@ def test_tables_are_values():
     one, two = (fa.Scene(inertia=INERTIA, torque=torques.Rotor(steady(W0))) for _ in "12")
     assert one == two
     assert one[:1] is one
-
-
-THREE, TURNED_OVER = np.ones((2, 3)), [Q0, np.negative(Q0)]

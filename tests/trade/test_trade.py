@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from each import often
 from scipy import interpolate
 
 import fastatt as fa
@@ -269,41 +270,36 @@ def read(path):
 FILES = {"summary.md", "trade.csv", "drift.csv"}
 
 
-def test_command_runs_a_rate_and_samples(tmp_path, capsys):
-    arguments = ["--scene", "coning", "--scene", "samples", "--methods", "rk4,magnus4,previous"]
-    assert main(["trade", "--quick", "--bodies", "6", "--out", str(tmp_path), *arguments]) == 0
-    pictures = {"error-coning.png", "drift-coning.png", "error-samples.png"}
-    assert {p.name for p in tmp_path.iterdir()} == FILES | pictures
-    found = read(tmp_path / "trade.csv")
-    assert {(r["input"], r["method"]) for r in found} == {
-        ("coning", "rk4"), ("coning", "magnus4"), ("samples", "previous"),
-    }  # fmt: skip
-    assert {r["quantity"] for r in read(tmp_path / "drift.csv")} == {"norm"}
-    text = capsys.readouterr().out
-    assert len(text.splitlines()) <= 40
-    assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 100
-    assert f"{tmp_path}: summary.md (how to read this)" in text
-    page = (tmp_path / "summary.md").read_text(encoding="utf-8")
-    assert summary.COLUMNS in page
-    assert "## samples" in page
+METHODS = BODIES | {"coning": ("lie_midpoint", "magnus4"), "samples": ("previous",)}
+COMMANDS = [(("samples", "free"),), (("coning",),), (("top",),), (("torqued",),)]
 
 
-@pytest.mark.parametrize("scene", BODY_SCENES)
-def test_command_runs_body_scenes(tmp_path, capsys, scene):
-    methods = BODIES[scene]
-    arguments = ["--scene", scene, "--quick", "--bodies", "6", "--methods", ",".join(methods)]
-    assert main(["trade", "--verbose", "--out", str(tmp_path), *arguments]) == 0
-    pictures = {f"error-{scene}.png", f"drift-{scene}.png"}
+@pytest.mark.parametrize("verbose", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scenes", often(lambda scenes: "samples" in scenes, COMMANDS))
+def test_command(tmp_path, capsys, scenes, verbose):
+    methods = {(scene, method) for scene in scenes for method in METHODS[scene]}
+    arguments = [f"--scene={scene}" for scene in scenes] + ["--verbose"] * verbose
+    arguments += ["--quick", "--bodies=6", f"--methods={','.join(m for _, m in methods)}"]
+    assert main(["trade", "--out", str(tmp_path), *arguments]) == 0
+    stepped = set(scenes) - {"samples"}
+    pictures = {f"error-{x}.png" for x in scenes} | {f"drift-{x}.png" for x in stepped}
     assert {p.name for p in tmp_path.iterdir()} == FILES | pictures
     assert all((tmp_path / name).stat().st_size > 10_000 for name in pictures)
     found = read(tmp_path / "trade.csv")
-    assert {(r["input"], r["method"]) for r in found} == {(scene, m) for m in methods}
-    kinds = {(r["representation"], r["dtype"]) for r in found}
+    assert {(r["input"], r["method"]) for r in found} == methods
+    kinds = {(r["representation"], r["dtype"]) for r in found if r["input"] in stepped}
     assert kinds == {("quat", "float64"), ("dcm", "float64")}
-    assert "reference: " in capsys.readouterr().out
-    assert "The fastest way to each error" in (tmp_path / "summary.md").read_text("utf-8")
-    kept = {"norm"} if scene == "torqued" else {"norm", "energy", "momentum"}
+    kept = {"norm", "energy", "momentum"} if stepped & {"free", "top"} else {"norm"}
     assert {r["quantity"] for r in read(tmp_path / "drift.csv")} == kept
+    page = (tmp_path / "summary.md").read_text(encoding="utf-8")
+    for part in (summary.COLUMNS, "The fastest way to each error", *(f"## {x}" for x in scenes)):
+        assert part in page
+    text = capsys.readouterr().out
+    assert ("reference: " in text) == verbose
+    if not verbose:
+        assert len(text.splitlines()) <= 40
+        assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 100
+        assert f"{tmp_path}: summary.md (how to read this)" in text
 
 
 def test_the_page_says_how_to_read_the_results():

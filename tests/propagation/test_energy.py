@@ -8,7 +8,7 @@ from exact import EPS, START
 from numba import njit
 
 import fastatt as fa
-from fastatt.invariants.energy import potential_energy
+from fastatt.propagation.energy import potential_energy
 
 N = 5
 RNG = np.random.default_rng(11)
