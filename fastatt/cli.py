@@ -17,12 +17,13 @@ import numpy as np
 from fastatt import __version__, _store
 from fastatt.checks import attitudes, choice
 from fastatt.gyro.attitudes import attitude_rows, check_ending, write_attitudes
-from fastatt.gyro.columns import ANGLES, TIME_UNITS, UNITS
+from fastatt.gyro.columns import ACCEL_UNITS, ANGLES, TIME_UNITS, UNITS
 from fastatt.gyro.integrate import methods_for_samples
 from fastatt.gyro.invalid_rows import ON_BAD_ROWS
 from fastatt.gyro.log import VALUES
 from fastatt.gyro.read import read_gyro_log
 from fastatt.methods import METHODS
+from fastatt.rounding import noted
 from fastatt.scene.torque_record import Dependence
 from fastatt.trade.ensembles import SCENES
 from fastatt.trade.standard_study import run_trade
@@ -30,8 +31,9 @@ from fastatt.trade.standard_study import run_trade
 # options of a log that read it
 _READING = (
     "columns", "unit", "rate", "time_column", "time_unit", "rows", "on_bad_rows", "max_gap",
-    "values",
+    "values", "accel_columns", "accel_unit", "mag_columns",
 )  # fmt: skip
+_BAD_INPUT = ValueError, TypeError, OSError
 # in a message: the word that it is about, one with a sign of equality, or one of two parts
 _ARGUMENT = re.compile(r"(^|(?<=: ))\w+(?=:| is )|\b\w+(?==)|\b\w+_\w+")
 
@@ -55,13 +57,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         print("fastatt: standard output was closed before the end", file=sys.stderr)
         return 2
-    except (ValueError, TypeError, OSError) as error:
-        text = str(error)
-        if isinstance(error, OSError) and error.strerror:
-            text = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
-        print(f"fastatt: {_with_options(text, vars(arguments))}", file=sys.stderr)
+    except _BAD_INPUT as error:
+        _print_error(error, arguments)
         return 2
     return 0
+
+
+def _print_error(error: Exception, arguments: argparse.Namespace) -> None:
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = ": ".join(str(part) for part in (error.strerror, error.filename) if part)
+    print(f"fastatt: {_with_options(text, vars(arguments))}", file=sys.stderr)
 
 
 def _with_options(text: str, known: Container[str]) -> str:
@@ -130,14 +136,20 @@ def _cache(arguments: argparse.Namespace) -> None:
 def _add_log(command: argparse.ArgumentParser) -> None:
     """Options of a log: reading and integration."""
     add = command.add_argument
-    add("log", help="text table with three rate columns, gzipped or not; - is standard input")
-    out = "attitudes as .csv or .npy (default: LOG.attitudes.csv)"
+    log = "text tables with three rate columns, gzipped or not; - is standard input"
+    add("log", nargs="+", metavar="LOG", help=log)
+    out = "attitudes as .csv or .npy, or a folder (default: LOG.attitudes.csv)"
     add("-o", "--out", type=Path, help=out)
     method = "a method for sampled rates (default: previous)"
     add("-m", "--method", default="previous", help=method)
     add("-c", "--columns", type=_names, help="three names or numbers from 1: Gyr_X,Gyr_Y,Gyr_Z")
     add("-u", "--unit", choices=UNITS | ANGLES, help="unit of the rates, or increments")
     add("--time-unit", choices=TIME_UNITS, help="unit of the time stamps")
+    accel = "three of an accelerometer; the attitudes' file then has ax, ay, az in m/s²"
+    add("--accel-columns", type=_names, help=accel)
+    add("--accel-unit", choices=ACCEL_UNITS, help="unit of --accel-columns")
+    mag = "three of a magnetometer; the attitudes' file then has mx, my, mz"
+    add("--mag-columns", type=_names, help=mag)
     values = "what the numbers are, if no format says it (default: samples)"
     add("--values", choices=VALUES, help=values)
     timing = command.add_mutually_exclusive_group()
@@ -190,19 +202,46 @@ def _methods(_: argparse.Namespace) -> None:
 
 
 def _integrate(arguments: argparse.Namespace) -> None:
-    q0 = attitudes("q0", np.array(arguments.q0), "(4,)")
+    """Integrate each log; of several, those that are refused do not stop the others."""
+    attitudes("q0", np.array(arguments.q0), "(4,)")
     choice("method", arguments.method, methods_for_samples())
-    if Path(arguments.log).is_dir():
-        raise ValueError(f"LOG: found the directory {arguments.log}; accepted: a file")
-    piped = arguments.log == "-"
-    name = "log" if piped else arguments.log.removesuffix(".gz")
-    out = arguments.out or Path(name).with_suffix(".attitudes.csv")
-    if not piped and out.exists() and out.samefile(arguments.log):
+    outs = [_output(arguments.out, log) for log in arguments.log]
+    if len(set(outs)) < len(outs):
+        twice = max(outs, key=outs.count)
+        raise ValueError(f"out: found {twice} for several logs; accepted: a file for each")
+    refused = 0
+    for log, out in zip(arguments.log, outs, strict=True):
+        try:
+            _integrate_one(arguments, log, out)
+        except _BAD_INPUT as error:
+            if len(outs) == 1 or isinstance(error, BrokenPipeError):
+                raise
+            _print_error(error, arguments)
+            refused += 1
+    if refused:
+        raise ValueError(f"{refused} of {len(outs)} logs are not integrated")
+
+
+def _output(out: Path | None, log: str) -> Path:
+    """The file for the attitudes of a log."""
+    path = Path("log" if log == "-" else log.removesuffix(".gz"))
+    folder = out if out and out.is_dir() else path.parent
+    return out if out and folder != out else folder / f"{path.stem}.attitudes.csv"
+
+
+def _integrate_one(arguments: argparse.Namespace, path: str, out: Path) -> None:
+    if Path(path).is_dir():
+        raise ValueError(f"LOG: found the directory {path}; accepted: a file")
+    if path != "-" and out.exists() and out.samefile(path):
         raise ValueError(f"out: found {out}, which is LOG; accepted: another file")
     check_ending(out)
-    log = read_gyro_log(arguments.log, **{name: getattr(arguments, name) for name in _READING})
-    rows = attitude_rows(log, q0, arguments.method)
-    write_attitudes(out, rows)
+    log = read_gyro_log(path, **{name: getattr(arguments, name) for name in _READING})
+    sensors = [x for x in ("accel", "mag") if getattr(arguments, f"{x}_columns")]
+    with noted() as warned:
+        rows = attitude_rows(log, arguments.q0, arguments.method, sensors)
+    for text in warned:
+        _print_warning(text if len(arguments.log) == 1 else f"{path}: {text}")
+    write_attitudes(out, rows, sensors)
     print(log.summary)
     print(f"{out}: {len(rows)} attitudes by {arguments.method}, body to inertial, scalar first")
 

@@ -72,9 +72,46 @@ def test_default_output_stands_beside_the_log(log):
     assert found[0].tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
 
 
+def test_several_logs_and_other_sensors(log, tmp_path, capsys):
+    path, t, rates = log
+    bad, good, folder = tmp_path / "bad.csv", tmp_path / "good.csv", tmp_path / "out"
+    bad.write_text("t (s),a,b\n0,1,2\n1,1,2\n", encoding="utf-8")
+    head = "t (s),gyro_x (deg/s),gyro_y (deg/s),gyro_z (deg/s),u,v,w"
+    table = np.column_stack([t, 1e5 * rates, rates])
+    np.savetxt(good, table, delimiter=",", header=head, comments="")
+    folder.mkdir()
+    arguments = ["integrate", str(path), str(bad), str(good), "-o", str(folder), "-m", "hold"]
+    assert main(arguments) == 2
+    text = capsys.readouterr()
+    named, warned, last = text.err.splitlines()
+    assert "no three columns named like gyro" in named
+    assert str(bad) in named
+    assert last == "fastatt: 1 of 3 logs are not integrated"
+    assert warned.startswith(f"fastatt: warning: {good}: dt: interval ")
+    assert [p.name for p in sorted(folder.iterdir())] == [
+        f"{p}.attitudes.csv" for p in ("good", "log")
+    ]
+    assert text.out.count("400 attitudes by hold") == 2
+
+    sensors = ["--accel-columns", "u,v,w", "--accel-unit", "g", "--mag-columns", "7,6,5"]
+    assert main(["integrate", str(good), "-o", str(tmp_path / "a.npy"), *sensors]) == 0
+    rows = np.load(tmp_path / "a.npy")
+    assert rows[:, 5:8] == pytest.approx(9.80665 * rates, rel=1e-15)
+    assert np.array_equal(rows[:, 8:], table[:, [6, 5, 4]])
+    # means have no sample at the first time
+    arguments = ["integrate", str(good), "--values", "means", "--mag-columns", "5,6,7"]
+    assert main(arguments) == 0
+    names, first, second, *_ = good.with_suffix(".attitudes.csv").read_text().splitlines()
+    assert names == "t,q0,q1,q2,q3,mx,my,mz"
+    assert first == "0.0,1.0,0.0,0.0,0.0,nan,nan,nan"
+    assert [float(x) for x in second.split(",")[5:]] == table[1, 4:].tolist()
+
+
 @each(
     ("arguments", "message"),
     [
+        (["integrate", "{log}", "{log}"], "log.attitudes.csv for several logs; accepted: a file"),
+        (["integrate", "{log}", "b", "-o", "c.npy"], "--out: found c.npy for several logs"),
         (["integrate", "none.csv"], "No such file or directory: none.csv"),
         (["integrate", "{log}", "-c", "a,b,c"], "--columns: found 'a'; accepted: 'Time (s)'"),
         (["integrate", "{log}", "-c", "1,2"], "accepted: 3 different columns"),
