@@ -87,10 +87,10 @@ bench: $(VENV)/.test  ## speed and error, side by side with other libraries
 	$(BIN)/pytest bench
 
 leaderboard: $(VENV)/.leaderboard  ## time at equal error beside others, 9 minutes: bench/LEADERBOARD.md
-	PYTHONPATH=tests $(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench --pictures fastatt/docs/pictures
+	$(BIN)/python bench/leaderboard.py --out $(RESULTS) --page bench --pictures fastatt/docs/pictures
 
 extremes: $(VENV)/.test  ## every method at the extremes, a minute: bench/EXTREMES.md; METHOD=, its rows
-	PYTHONPATH=tests $(BIN)/python bench/extremes_page.py \
+	$(BIN)/python bench/extremes_page.py \
 		$(if $(METHOD),--method $(METHOD),$(if $(FASTATT_SMOKE),--quick,--long))
 
 cases: $(VENV)/.test  ## cases that others published, beside ours: bench/CASES.md

@@ -78,7 +78,7 @@ def run(command: str, folder: Path) -> str | None:
         "FASTATT_CACHE": str((folder if "cache" in command else ROOT) / ".fastatt_cache"),
         "NUMBA_CACHE_DIR": str(ROOT / ".numba_cache"),
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": os.pathsep.join(map(str, (folder, folder / "tests"))),
+        "PYTHONPATH": str(folder),
     }
     begun = perf_counter()
     try:

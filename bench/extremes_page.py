@@ -1,7 +1,7 @@
 """Every method at the extremes: its error, or the status that says that there is no trusting it.
 
 ``make extremes`` writes a summary to ``bench/EXTREMES.md`` and all tables to
-``results/extremes.md`` (``tests`` has to be on the path); ``--quick`` runs a method of each sort on
+``results/extremes.md``; ``--quick`` runs a method of each sort on
 quaternions in float64, ``--long`` takes the energy over 10^7 steps. References are closed forms.
 The rule that every cell is held to: a body with status 0 is right, to what the order of its method,
 the rounding of its precision and the conditioning of its motion allow.
@@ -19,6 +19,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
 from extremes.bodies import SHAPES, TORQUED_STEPS, V, closed, measured, spins, swing, takes_torques
 from extremes.cases import (
     ANGLES,

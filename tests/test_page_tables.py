@@ -4,7 +4,12 @@ import inspect
 import re
 from pathlib import Path
 
+from each import each
+
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
+from fastatt.scene.models import Model
+from fastatt.scene.torque_record import Dependence
 
 PAGES = Path(fa.__file__).parent / "docs"
 
@@ -29,6 +34,53 @@ def test_the_guide_has_every_model_with_its_arguments():
             parameters = list(inspect.signature(getattr(models, call[1])).parameters)
             assert named == parameters[: len(named)]
             assert len(named) == len(parameters) or call[2].endswith("...")
+
+
+def test_the_guide_says_what_a_torque_depends_on_and_where_it_accepts_tables():
+    depends = {"no": Dependence.POSITION, "linearly": Dependence.DAMPED, "yes": Dependence.RATE}
+    for call, _, on_rate, tables in table("guides/scenes.md", "model of `fa.torques`"):
+        name = call.strip("`").partition("(")[0]
+        model = getattr(fa.torques, name)
+        # a controller's torque is held, and a switch exerts none: methods take both as RATE
+        if on_rate in depends and name not in ("SampledControl", "Switch"):
+            assert model.depends == depends[on_rate], name
+        assert (tables == "yes") == any(x.table for x in model.fields.values()), name
+
+
+@each("module", [fa.rates, fa.torques, fa.forces])
+def test_every_model_is_public(module):
+    bases = {"Model", "UserModel", "Rate", "Torque", "Force"}
+    defined = {n for n, x in vars(module).items() if isinstance(x, type) and issubclass(x, Model)}
+    assert defined - bases == set(module.__all__)
+
+
+def test_the_page_has_every_representation_with_its_size():
+    rows = table("explanations/methods.md", "name | numbers")
+    expected = [(x.name, x.size) for x in ATTITUDES.values()]
+    assert sorted((row[0].strip("`"), int(row[1])) for row in rows) == sorted(expected)
+
+
+def test_the_pages_name_the_methods_that_step_states():
+    names = [f"`{m.name}`" for m in fa.METHODS.values() if m.couples]
+    for page, text in (
+        ("guides/scenes.md", f"{', '.join(names)} and user-defined tableaus support this"),
+        ("guides/events.md", f"{', '.join(names[:-1])} and {names[-1]}."),
+    ):
+        assert text in " ".join((PAGES / page).read_text(encoding="utf-8").split())
+
+
+def test_the_page_of_equations_has_every_tableau():
+    rows = table("explanations/equations.md", "method | stages | coefficients")
+    tableaus = [m for m in fa.METHODS.values() if m.uses == ("derivative",) and m.body_calls]
+    expected = [(m.name, m.body_calls) for m in tableaus]
+    assert [(row[0].strip("`"), int(row[1])) for row in rows] == expected
+
+
+def test_the_changelog_names_what_users_choose_from():
+    text = (PAGES.parents[1] / "CHANGELOG.md").read_text(encoding="utf-8")
+    names = [*fa.METHODS, *ATTITUDES, *(flag.name for flag in fa.Status if flag)]
+    names += [n for x in (fa.rates, fa.torques, fa.forces) for n in x.__all__]
+    assert [name for name in names if not re.search(rf"\b{name}\b", text)] == []
 
 
 def test_the_page_has_every_method_with_its_source():

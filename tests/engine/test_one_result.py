@@ -14,6 +14,7 @@ from each import each
 from ways import DT, OWN, Q0, RATE, RNG, STEPS, TORQUED, W0, WAYS, N, given
 
 import fastatt as fa
+from fastatt.attitudes import ATTITUDES
 from fastatt.engine import run as engine_run
 from fastatt.propagation import plan as plans
 
@@ -181,7 +182,7 @@ def test_numbers_in_any_form_are_the_same():
     assert of(fa.propagate(replace(TORQUED, params=OWN.copy()), **given("rk4")[1])) == wanted
 
 
-@each("representation", ("quat", "dcm", "dcm_rows", "mrp", "euler313"))
+@each("representation", ATTITUDES)
 def test_the_sign_of_attitudes_is_kept(representation, tmp_path):
     """From save to save, between them, in an attitude message, and in a file of saves."""
     body, start = fa.Scene(inertia=(3.0, 2.0, 1.0)), ([0.5, 0.5, -0.5, 0.5], [0.3, 2.0, 0.4])

@@ -205,8 +205,10 @@ def test_reversal_of_free_bodies(method):
     found = gap(back, ONE, H_W0)
     if "free" in fa.METHODS[method].reversible or fa.METHODS[method].order >= 8:
         assert found < 200 * fa.METHODS[method].rate_calls * EPS
-    else:
+    elif fa.METHODS[method].order == 4:
         assert found == pytest.approx(3e-9, rel=0.5)
+    else:
+        assert found < 3e-9
 
 
 @each(("method", "drag"), [(m, drag) for m in TORQUED_METHODS for drag in (0.0, DRAG)])

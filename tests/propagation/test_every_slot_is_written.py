@@ -11,6 +11,7 @@ from test_resume import interrupted, stop
 
 import fastatt as fa
 from fastatt import closed_form
+from fastatt.attitudes import ATTITUDES
 from fastatt.engine import run as engine_run
 from fastatt.engine.run import Run
 from fastatt.propagation import plan
@@ -119,7 +120,7 @@ WAYS = [
     *(run_of(WHEELS, Q0, W0, **MOVED, **{**RK4, **saves}) for saves in SAVES),
     *(run_of(*TORQUED, **RK4, **x, events=EVENTS) for x in SAVES),
     *(run_of(*TORQUED, **RK4, n_steps=40, save_every=9, representation=x)
-      for x in ("dcm", "dcm_rows", "mrp", "euler313")),
+      for x in ATTITUDES if x != "quat"),
     run_of(*TORQUED, **RK4, n_steps=40, save_every=9, dtype=np.float32),
     run_of(*TORQUED, **RK4, n_steps=200, save_every=9, compensated=True),
     run_of(SCENES["free"], Q0, 20.0 * W0, dt=0.2, method="kahan_li8", n_steps=30, save_every=7),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -319,6 +321,28 @@ def test_dependence_on_the_rate_is_what_the_record_says(name, axes):
     )
     assert found == (Dependence.DAMPED if name == "QuaternionPD" else said)
     assert found <= said
+
+
+@each("name", MODELS)
+def test_a_formula_that_holds_along_any_axes_is_declared(name):
+    """It is evaluated along the principal axes as if they were the body's; no other is."""
+    model = MODELS[name][0]
+    (term,) = torque_record.pack(model, None).structure.terms
+    t, q, w = next(iter(states()))
+    along_principal = mul(q, AXES), fa.quat_to_dcm(AXES).T @ w
+    as_of_body = found_torque(model, "quat", t, *along_principal, None)
+    holds = close(as_of_body, found_torque(model, "quat", t, q, w, AXES)) < 20 * EPS
+    assert term.model.axis_free == holds
+
+
+@each("name", MODELS)
+def test_what_is_documented_as_a_unit_vector_is_one(name):
+    model = MODELS[name][0]
+    text = re.sub(r"\n {4,}", " ", inspect.getdoc(type(model)))
+    for field in re.findall(r"^(\w+) : array_like[^\n]*? Unit ", text, re.MULTILINE):
+        longer = replace(model, **{field: 2.0 * np.array(getattr(model, field))})
+        with pytest.raises(ValueError, match=f"{field}: its length is 2"):
+            fa.Scene(inertia=INERTIA, torque=longer)
 
 
 def test_every_torque_of_the_package_is_among_the_models():
