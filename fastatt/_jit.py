@@ -60,17 +60,17 @@ def machine(function: Callable[..., Any], signature: Any) -> Callable[..., Any]:
         return njit(signature, **_LOOP, cache=file is not None)(source)
 
     name = f"{function.__module__}.{function.__qualname__}"
-    made = kept(f"{name}\0{signature}\0{_stamp()}", make)
-    _MACHINES.append(made)
+    loop = kept(f"{name}\0{signature}\0{_stamp()}", make)
+    _MACHINES.append(loop)
     others = njit(**_LOOP)(function)
 
     def call(*args: Any) -> Any:
         try:
-            return made(*args)
+            return loop(*args)
         except TypeError:  # Numba converts no named tuples
             return others(*args)
 
-    return compiled(made) or call
+    return compiled(loop) or call
 
 
 #: a part of a machine
@@ -158,8 +158,8 @@ def formula_in_jitted_code(formula: Any, file: str | None) -> Any:
 
 def plain(function: Any) -> Callable[..., Any]:
     """The Python function of a kernel."""
-    found: Callable[..., Any] = getattr(function, "py_func", function)
-    return found
+    python: Callable[..., Any] = getattr(function, "py_func", function)
+    return python
 
 
 def checked(function: Callable[..., Any]) -> Any:
@@ -217,9 +217,9 @@ def _checking() -> type:
         operator.pow: njit(lambda a, b: a**b if b >= 0.0 else math.inf),
         operator.lshift: njit(lambda a, b: a * 2.0**b),
     }
-    found = {op: exact(op, x) for op, x in of_floats.items()}
-    in_place = {getattr(operator, f"i{op.__name__}"): x for op, x in found.items()}
-    return replacing(found | in_place, counted)
+    operations = {op: exact(op, x) for op, x in of_floats.items()}
+    in_place = {getattr(operator, f"i{op.__name__}"): x for op, x in operations.items()}
+    return replacing(operations | in_place, counted)
 
 
 def helper(function: Any) -> Any:

@@ -32,9 +32,9 @@ FOUND = {
 }  # fmt: skip
 #: what is newer than that; empty if nothing is
 NEW = ", ".join(
-    f"{name} {found} (seen: up to {'.'.join(map(str, SEEN[name]))})"
-    for name, found in FOUND.items()
-    if tuple(map(int, re.findall(r"\d+", found)[:2])) > SEEN[name]
+    f"{name} {version} (seen: up to {'.'.join(map(str, SEEN[name]))})"
+    for name, version in FOUND.items()
+    if tuple(map(int, re.findall(r"\d+", version)[:2])) > SEEN[name]
 )
 #: the value of a type without values, such as None
 NOTHING = ir.Constant(ir.IntType(8).as_pointer(), None)
@@ -42,7 +42,7 @@ NOTHING = ir.Constant(ir.IntType(8).as_pointer(), None)
 
 def differs(what: str, then: str) -> ImportError:
     """The error where an interface is not as it was."""
-    versions = ", ".join(f"{name} {found}" for name, found in FOUND.items())
+    versions = ", ".join(f"{name} {version}" for name, version in FOUND.items())
     return ImportError(f"numba: found {versions}, where this differs: {what}; accepted: {then}")
 
 

@@ -70,39 +70,39 @@ def kept(key: str, make: Callable[[str | None], Made]) -> Made:
         digest = hashlib.sha256("\0".join((key, *versions)).encode()).hexdigest()[:40]
         if path is not None:
             file = path / f"{_PREFIX}{digest}"
-            for given in (_read(file), {}):
+            for before in (_read(file), {}):
                 try:
-                    found, after = beside(given, make)
+                    function, after = beside(before, make)
                 except Exception:  # noqa: BLE001  # of an error in the function the last one tells
                     continue
-                if after == given:
+                if after == before:
                     hits += 1
                 else:
                     made += 1
                     with contextlib.suppress(OSError):
                         _write(file, marshal.dumps(after))
                         _trim()
-                return found
+                return function
         made += 1
         return make(None)
 
 
 def beside(
-    given: dict[str, bytes], make: Callable[[str | None], Made]
+    files: dict[str, bytes], make: Callable[[str | None], Made]
 ) -> tuple[Made, dict[str, bytes]]:
-    """What is made where Numba finds the given files, and its files afterwards."""
-    with tempfile.TemporaryDirectory(prefix=_PREFIX) as own:
-        source = Path(own) / "function.py"
+    """What is made where Numba finds some files, and its files afterwards."""
+    with tempfile.TemporaryDirectory(prefix=_PREFIX) as folder_of_source:
+        source = Path(folder_of_source) / "function.py"
         source.touch()
         os.utime(source, (0, 0))  # some releases of Numba compare it
         place = folder_of(str(source))
         try:
             if why := _others_of_numbas(place.parent):
                 raise PermissionError(why)
-            for name, data in given.items():
+            for name, data in files.items():
                 (place / name).write_bytes(data)
-            found = make(str(source))
-            return found, {x.name: x.read_bytes() for x in place.iterdir()}
+            function = make(str(source))
+            return function, {x.name: x.read_bytes() for x in place.iterdir()}
         finally:
             shutil.rmtree(place, ignore_errors=True)
 
@@ -110,11 +110,11 @@ def beside(
 def _read(file: Path) -> dict[str, bytes]:
     """Numba's files by name; none if they are not there or damaged."""
     try:
-        found = file.read_bytes()
+        contents = file.read_bytes()
     except OSError:
         return {}
-    data = found[_HASH:]
-    if hashlib.sha256(data).digest() != found[:_HASH]:
+    data = contents[_HASH:]
+    if hashlib.sha256(data).digest() != contents[:_HASH]:
         return {}
     with contextlib.suppress(OSError):
         os.utime(file)
@@ -210,8 +210,8 @@ def _check_numbas() -> None:
     """Warn, once, of a folder that others may write to, from which Numba loads machine code."""
     with contextlib.suppress(RuntimeError, OSError):  # Numba has no folder
         # Numba's folders for other files of the package have the same owner
-        own, chosen = folder_of(__file__), numba.config.CACHE_DIR
-        for path, *safe in ((own, 0), *([(Path(chosen),)] if chosen else ())):
+        default, chosen = folder_of(__file__), numba.config.CACHE_DIR
+        for path, *safe in ((default, 0), *([(Path(chosen),)] if chosen else ())):
             if why := _others_of_numbas(path, *safe):
                 warnings.warn(
                     f"NUMBA_CACHE_DIR: Numba loads machine code from {path}, but {why}; accepted: "

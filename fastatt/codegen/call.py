@@ -25,13 +25,13 @@ def call(typing_context: Any, entry: Any, part: Any, memory: Any, numbers: Any) 
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         address, number, arrays, integers = args
-        given = [number]
+        values = [number]
         for i in range(len(memory)):
-            value = builder.extract_value(arrays, i)
-            given.append(builder.inttoptr(value, ir.IntType(64).as_pointer()))
-        given += [builder.extract_value(integers, i) for i in range(len(numbers))]
-        of = ir.FunctionType(ir.VoidType(), [x.type for x in given]).as_pointer()
-        builder.call(builder.inttoptr(address, of), given)
+            place = builder.extract_value(arrays, i)
+            values.append(builder.inttoptr(place, ir.IntType(64).as_pointer()))
+        values += [builder.extract_value(integers, i) for i in range(len(numbers))]
+        of = ir.FunctionType(ir.VoidType(), [x.type for x in values]).as_pointer()
+        builder.call(builder.inttoptr(address, of), values)
         return NOTHING
 
     return types.void(entry, part, memory, numbers), lower

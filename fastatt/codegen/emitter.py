@@ -43,30 +43,25 @@ class Emitter:
         """A value as a vector, made once in a graph."""
         if has_lanes:
             return value
-        found = self._spreads.get(id(value))
-        if found is None:
-            found = self._spreads[id(value)] = self.code.splat(value, self.lanes)
-        return found
+        if id(value) not in self._spreads:
+            self._spreads[id(value)] = self.code.splat(value, self.lanes)
+        return self._spreads[id(value)]
 
     def _node(self, node: Node, values: list[tuple[Any, bool]], given: Given) -> tuple[Any, bool]:
         op, precision = node.op, node.precision
         if op == "const":
             return ir.Constant(REALS[precision], node.args[0]), False
         if op == "in":
-            group, *place = node.args
-            return (
-                self._direction(precision, *place)
-                if group == "direction"
-                else given(node.args, precision)
-            )
+            is_direction = node.args[0] == "direction"
+            return (self._direction if is_direction else given)(node.args, precision)
         if op == "opaque":
             return self._called(node, values)
         if op in ("item", "element"):
-            made, has_lanes = values[node.args[0]]
-            return made[node.args[1]], has_lanes
+            numbers, has_lanes = values[node.args[0]]
+            return numbers[node.args[1]], has_lanes
         if op == "lane":
-            k, at = node.args
-            value, has_lanes = values[at]
+            k, vector = node.args
+            value, has_lanes = values[vector]
             return self.code.lane(value, k) if has_lanes else value, False
         if op == "row":
             return self._row(*node.args[:2], *values[node.args[2]])
@@ -79,9 +74,9 @@ class Emitter:
         has_lanes = any(wide for _, wide in taken)
         return [self._spread(*x) if has_lanes else x[0] for x in taken], has_lanes
 
-    def _direction(self, precision: str, k: int) -> tuple[Any, bool]:
-        """1 in lane k, 0 in others."""
-        units = [float(i == k) for i in range(self.lanes)]
+    def _direction(self, name: tuple[Any, ...], precision: str) -> tuple[Any, bool]:
+        """The input ("direction", k): 1 in lane k, 0 in others."""
+        units = [float(i == name[1]) for i in range(self.lanes)]
         if self.lanes == 1:
             return ir.Constant(REALS[precision], 1.0), False
         return ir.Constant(ir.VectorType(REALS[precision], self.lanes), units), True
@@ -148,17 +143,18 @@ class Emitter:
 
     def _called(self, node: Node, values: list[tuple[Any, bool]]) -> tuple[list[Any], bool]:
         """A function ``f(double* arguments, double* results)`` that is not traced."""
-        number, n_results, *at = node.args
+        function, n_results, *numbers = node.args
         code, double = self.code, REALS["double"]
-        taken, made = code.room(double, max(1, len(at))), code.room(double, n_results)
+        arguments = code.room(double, max(1, len(numbers)))
+        results = code.room(double, n_results)
 
         def call(*numbers: Any) -> list[Any]:
             for i, value in enumerate(numbers):
-                code.store(taken, i, value)
-            code.b.call(self.resources["function", number], [taken, made])
-            return [code.load(made, i) for i in range(n_results)]
+                code.store(arguments, i, value)
+            code.b.call(self.resources["function", function], [arguments, results])
+            return [code.load(results, i) for i in range(n_results)]
 
-        args, has_lanes = self._taken(at, values)
+        args, has_lanes = self._taken(numbers, values)
         return self._by_lane(call, args, has_lanes), has_lanes
 
 

@@ -55,9 +55,9 @@ class Code:
     def room(self, ty: Any, n: int = 1) -> Any:
         """Memory for n values on the stack of the function."""
         with self.b.goto_entry_block():
-            made = self.b.alloca(ty, ir.Constant(I32, n))
-        made.align = 64
-        return made
+            memory = self.b.alloca(ty, ir.Constant(I32, n))
+        memory.align = 64
+        return memory
 
     def place(self, pointer: Any, index: Any) -> Any:
         """Address of an element; ``index`` is a number or an LLVM value."""
@@ -118,8 +118,8 @@ class Code:
     def store_vector(self, pointer: Any, index: Any, value: Any) -> None:
         """Change as many successive elements as the value has."""
         if isinstance(value.type, ir.VectorType):
-            at = self._as_vector(value.type, pointer, index)
-            self.b.store(value, at, align=_aligned(value.type))
+            place = self._as_vector(value.type, pointer, index)
+            self.b.store(value, place, align=_aligned(value.type))
         else:
             self.store(pointer, index, value)
 
@@ -157,8 +157,8 @@ class Code:
 
     def declared(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
         """A function of that name, defined elsewhere."""
-        found = self.module.globals.get(name)
-        return found or ir.Function(self.module, ir.FunctionType(result, arguments), name)
+        known = self.module.globals.get(name)
+        return known or ir.Function(self.module, ir.FunctionType(result, arguments), name)
 
     def intrinsic(self, name: str, ty: Any, n: int = 1) -> Any:
         """LLVM's function of that name for a type, with n arguments of it."""

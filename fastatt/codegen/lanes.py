@@ -119,8 +119,8 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
 
     def place(x: Place) -> tuple[Any, Any]:
         offset = offsets[x.array]
-        at = x.row if x.of == "indexed" else x.row * block
-        return arrays[x.array], code.b.add(offset, offset.type(at))
+        first = x.row if x.of == "indexed" else x.row * block
+        return arrays[x.array], code.b.add(offset, offset.type(first))
 
     def row(x: Place) -> Any:
         return code.vector(program.arrays[x.array], *place(x), lanes)
@@ -133,21 +133,20 @@ def _emit(program: LaneProgram, formula: LaneFormula, code: Code, args: Sequence
             return code.cast(precision, row(x)), lanes > 1
         if x.of == "computed":
             return code.load(arrays[x.array], x.row), False
-        at = (arrays[x.array], x.row) if x.of == "shared" else place(x)
-        return code.constant_load(*at), False
+        of_all = (arrays[x.array], x.row) if x.of == "shared" else place(x)
+        return code.constant_load(*of_all), False
 
     emit = Emitter(code, max(lanes, formula.directions), pointers)
     if formula.clock is not None:
         times["n",] = code.b.sitofp(args[-1], REALS["double"]), False
-        made = emit(formula.clock.flat, find)
-        times |= zip(formula.clock.names, made, strict=True)
+        times |= zip(formula.clock.names, emit(formula.clock.flat, find), strict=True)
     values = emit(formula.graph, find)
     for i, (x, (value, has_lanes)) in enumerate(zip(formula.results, values, strict=True)):
-        kept = code.cast(program.arrays[x.array], value)
-        kept = kept if has_lanes else code.splat(kept, lanes)
+        stored = code.cast(program.arrays[x.array], value)
+        stored = stored if has_lanes else code.splat(stored, lanes)
         if formula.largest is not None and i >= formula.largest:
-            kept = raised(code, row(x), kept)
-        code.store_vector(*place(x), kept)
+            stored = raised(code, row(x), stored)
+        code.store_vector(*place(x), stored)
 
 
 class Part(IntEnum):

@@ -33,7 +33,7 @@ class MachineCode(NamedTuple):
     """A compiled function at an ``address``, and what Numba may release it with."""
 
     address: int
-    made: Any
+    function: Any
 
 
 #: the emissions of the function that is being compiled
@@ -56,8 +56,8 @@ def generated(
         exec(compile(text, file or "<fastatt>", "exec"), scope)
         token = _emissions.set(emissions)
         try:
-            made = cfunc(types.void(*arguments), cache=file is not None, **LOOP)(scope["run"])
-            return MachineCode(made.address, needed(made))
+            function = cfunc(types.void(*arguments), cache=file is not None, **LOOP)(scope["run"])
+            return MachineCode(function.address, needed(function))
         finally:
             _emissions.reset(token)
 
@@ -106,10 +106,9 @@ class TwoForms(ABC):
     """
 
     def __init__(self, *, one_form: bool = False) -> None:
-        made = self._compiled(small_angle=True)
         #: the compiled forms; their machine code lives as long as these
-        self.functions = [made]
-        self.entry = made.address
+        self.functions = [self._compiled(small_angle=True)]
+        self.entry = self.functions[0].address
         self.any_angle: int = self.entry if one_form else 0
         self._memory = threading.local()
 
@@ -125,13 +124,11 @@ class TwoForms(ABC):
         """Compile the any-angle form, if it is not compiled."""
         with alone():
             if self.any_angle == 0:
-                made = self._compiled(small_angle=False)
-                self.functions.append(made)
-                self.any_angle = made.address
+                self.functions.append(self._compiled(small_angle=False))
+                self.any_angle = self.functions[1].address
 
     def memory(self) -> Any:
         """The calling thread's memory."""
-        own = self._memory
-        if not hasattr(own, "made"):
-            own.made = self._new_memory()
-        return own.made
+        if not hasattr(self._memory, "arrays"):
+            self._memory.arrays = self._new_memory()
+        return self._memory.arrays

@@ -30,9 +30,9 @@ def described(triple: str, name: str, features: str) -> Processor:
 
     A 64-bit ARM has vectors of 16 bytes and fused multiplications, whatever its features say.
     """
-    found = {feature[1:] for feature in features.split(",") if feature.startswith("+")}
-    fuses = "fma" in found or triple.startswith(("aarch64", "arm64"))
-    vector = 64 if "avx512f" in found else 32 if "avx" in found else 16
+    has = {feature[1:] for feature in features.split(",") if feature.startswith("+")}
+    fuses = "fma" in has or triple.startswith(("aarch64", "arm64"))
+    vector = 64 if "avx512f" in has else 32 if "avx" in has else 16
     return Processor(name, vector, fuses, f"{triple}\0{name}\0{features}")
 
 

@@ -28,10 +28,10 @@ def load(source, sample, first_row, rows, to):
     """Copy rows of an array to lanes; its last row serves the lanes after it."""
     first_row = min(first_row, source.shape[1] - 1)
     count = min(rows.shape[1], source.shape[1] - first_row)
-    lanes, own = rows[to : to + source.shape[2]], source[sample, first_row : first_row + count]
+    lanes, some = rows[to : to + source.shape[2]], source[sample, first_row : first_row + count]
     for i in range(lanes.shape[0]):
         for j in range(count):
-            lanes[i, j] = own[j, i]
+            lanes[i, j] = some[j, i]
     if count < lanes.shape[1]:
         for i in range(lanes.shape[0]):
             for j in range(count, lanes.shape[1]):
@@ -41,10 +41,10 @@ def load(source, sample, first_row, rows, to):
 @loop_part
 def store(rows, source, to, sample, first_row, count):
     """Copy lanes to rows of an array."""
-    lanes, own = rows[source : source + to.shape[2]], to[sample, first_row : first_row + count]
+    lanes, some = rows[source : source + to.shape[2]], to[sample, first_row : first_row + count]
     for i in range(lanes.shape[0]):
         for j in range(count):
-            own[j, i] = lanes[i, j]
+            some[j, i] = lanes[i, j]
 
 
 def perform_rows(entry, whole, rows, sources, results, held, first_result):
@@ -71,12 +71,12 @@ def perform_rows(entry, whole, rows, sources, results, held, first_result):
             if is_other:
                 call(entry, Part.CONSTANTS, (rows.ctypes.data, whole), (count,))
             call(entry, Part.EACH, (rows.ctypes.data, whole), (count,))
-            at = first_result
+            row = first_result
             for result in results:
                 if result.shape[2] == 0:
                     break
-                store(rows, at, result, s, b, count)
-                at += result.shape[2]
+                store(rows, row, result, s, b, count)
+                row += result.shape[2]
 
 
 @functools.cache

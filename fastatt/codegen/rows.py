@@ -140,7 +140,7 @@ class RowFunction:
         return self._compiled(self._shape)
 
     @cached_property
-    def _made_for_few(self) -> _Made:
+    def _form_for_few(self) -> _Made:
         """The function for single rows, since few rows would leave most lanes of a vector empty."""
         return self._compiled(Shape(self.precision, 1, 1))
 
@@ -152,20 +152,20 @@ class RowFunction:
             results = places[first : first + n]
             return LaneFormula(traced.flat, inputs, results, directions=traced.lanes)
 
-        made = formula(self.traced, self._first_result, self._given)
         constants = None
         if self.constants:
             constants = formula(self.constants, self._taken, self._read - self._taken)
-        function = lane_function(shape, made, self.traced.resources, constants)
+        results = formula(self.traced, self._first_result, self._given)
+        function = lane_function(shape, results, self.traced.resources, constants)
         return _Made(function, shape, len(places))
 
     def _run(
         self, sources: list[Array], results: list[Array], whole: array[int], n_threads: int
     ) -> None:
         """Apply the function to arrays (S, B, k), all rows of a sample before the next sample."""
-        made, (samples, n) = self._made, results[0].shape[:2]
-        least = _LEAST if made.shape.block > 1 else _LEAST_ONE_BY_ONE
-        run, entry = row_machine(self.precision), made.function.address
+        form, (samples, n) = self._made, results[0].shape[:2]
+        least = _LEAST if form.shape.block > 1 else _LEAST_ONE_BY_ONE
+        run, entry = row_machine(self.precision), form.function.address
         # constants are computed for each piece, so that few samples are not divided
         by_samples = samples > 1 and self._first_result and (samples >= n or not self._held)
         along, across = (samples, n) if by_samples else (n, samples)
@@ -175,7 +175,7 @@ class RowFunction:
             inputs = filled([x[piece] for x in sources], INPUTS)
             outputs = filled([x[piece] for x in results], RESULTS)
             rows = self._held, self._first_result
-            run(entry, _first(whole), made.memory(), inputs, outputs, *rows)
+            run(entry, _first(whole), form.memory(), inputs, outputs, *rows)
 
         in_pieces(along, n_threads, some, -(-least // across), max(1, _PIECE // across))
 
@@ -194,28 +194,28 @@ class RowFunction:
 
         Raises ``ValueError`` for shapes that do not fit.
         """
-        given = [
+        inputs = [
             self._checked(name, n, x)
             for (name, n), x in zip(self.inputs.items(), arrays, strict=True)
         ]
-        lead = np.broadcast_shapes(*[x.shape[:-1] for x in given])
+        lead = np.broadcast_shapes(*[x.shape[:-1] for x in inputs])
         total = math.prod(lead)
         if len(lead) > 2 and total:
             # more than two axes are reshaped to two, with a copy only if their strides do not fit
-            given = [
+            inputs = [
                 np.broadcast_to(x, (*lead, x.shape[-1])).reshape(-1, lead[-1], x.shape[-1])
-                for x in given
+                for x in inputs
             ]
         out = out or [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
         if total:
             shape = (-1, lead[-1] if lead else 1)
             samples = total // shape[1]
             results = [x.reshape(*shape, _count(n)) for x, n in zip(out, self.outputs, strict=True)]
-            sources = [_wide(x, (samples, shape[1], x.shape[-1])) for x in given]
+            sources = [_wide(x, (samples, shape[1], x.shape[-1])) for x in inputs]
             sources, wide = joined(sources, INPUTS), joined(results, RESULTS)
             last = wide[-1]
-            kept = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
-            whole = array("q", addresses(self._resources, kept))
+            read = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
+            whole = array("q", addresses(self._resources, read))
             if shape[1] < self._made.shape.block and shape[1] < samples:
                 # a lane for each sample
                 sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
@@ -239,14 +239,15 @@ class RowFunction:
         arrays.
         """
         n = len(out[0])
-        made = self._made_for_few if 2 * n <= processor().lanes(self.precision) else self._made
+        is_few = 2 * n <= processor().lanes(self.precision)
+        form = self._form_for_few if is_few else self._made
         wide = [np.broadcast_to(x, (n, *x.shape[1:])).reshape(1, n, -1) for x in arrays]
-        run, whole, memory = row_machine(self.precision), array("q"), made.memory()
+        run, whole, memory = row_machine(self.precision), array("q"), form.memory()
         sources = filled(wide, INPUTS)
         results = filled([x.reshape(1, n, -1) for x in out], RESULTS)
-        entry, rows = made.function.address, (self._held, self._first_result)
+        entry, rows = form.function.address, (self._held, self._first_result)
         call = partial(run, entry, _first(whole), memory, sources, results, *rows)
-        call.function = made.function  # type: ignore[attr-defined]  # as in ``scalar``
+        call.function = form.function  # type: ignore[attr-defined]  # as in ``scalar``
         return call
 
     def _checked(self, name: str, n: Width, value: Any) -> Array:
@@ -288,8 +289,8 @@ class LogFunction(RowFunction):
         ``sampled`` are (N, n, k) or (1, n, k), ``given`` (N, k) or (1, k), float64.
         """
         n_logs, n = len(start), max(x.shape[1] for x in sampled)
-        own = [np.broadcast_to(x, (n_logs, x.shape[-1])) for x in given]
-        shared = [np.concatenate(own, axis=1)] if own else []
+        wide = [np.broadcast_to(x, (n_logs, x.shape[-1])) for x in given]
+        shared = [np.concatenate(wide, axis=1)] if wide else []
         arrays = [np.ascontiguousarray(x, self._dtype) for x in (start, *sampled, *shared)]
         state = arrays[0].copy()
         if n:
@@ -335,8 +336,8 @@ def rows(
     function's operations depend.
     """
     layout = function if key is None else key, tuple(inputs.items()), tuple(outputs), precision
-    found = _KNOWN.get(layout)
-    return found or _KNOWN.setdefault(layout, RowFunction(function, inputs, outputs, precision))
+    known = _KNOWN.get(layout)
+    return known or _KNOWN.setdefault(layout, RowFunction(function, inputs, outputs, precision))
 
 
 def precision_of(dtype: Any) -> str:

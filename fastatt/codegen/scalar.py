@@ -88,10 +88,9 @@ class ScalarFunction:
 
     def traced(self, forms: tuple[Any, ...]) -> Traced:
         """The formula for arguments of given forms."""
-        found = self._traced.get(forms)
-        if found is None:
-            found = self._traced[forms] = trace(self.formula, forms)
-        return found
+        if forms not in self._traced:
+            self._traced[forms] = trace(self.formula, forms)
+        return self._traced[forms]
 
     def __call__(self, *args: Any, **named: Any) -> Any:
         """Traced numbers for traced numbers; otherwise floats, for float32 those of NumPy."""
@@ -112,13 +111,13 @@ class ScalarFunction:
         places = [Place(k) for k in range(n + count)]
         inputs = {("x", k): place for k, place in enumerate(places[:n])}
         formula = LaneFormula(traced.flat, inputs, places[n:], directions=traced.lanes)
-        made = lane_function(Shape("double", 1, 1), formula, traced.resources)
+        compiled = lane_function(Shape("double", 1, 1), formula, traced.resources)
         pointer, number = ctypes.c_void_p, ctypes.c_int64
-        run = ctypes.CFUNCTYPE(None, number, pointer, pointer, number)(made.address)
-        run.function = made  # type: ignore[attr-defined]  # it lives as long as its machine code
+        run = ctypes.CFUNCTYPE(None, number, pointer, pointer, number)(compiled.address)
+        run.function = compiled  # type: ignore[attr-defined]  # it lives as long as its machine code
         room = ctypes.c_double * (n + count)
-        at = addresses(traced.resources, self.tables)
-        whole = (ctypes.c_int64 * len(at))(*at)
+        places_read = addresses(traced.resources, self.tables)
+        whole = (ctypes.c_int64 * len(places_read))(*places_read)
         # struct packs numbers in a third of the time of ctypes
         pack = struct.Struct(f"{n}d").pack_into
         unpack = struct.Struct(f"{count}d").unpack_from
@@ -165,7 +164,7 @@ def _writer() -> Callable[[ScalarFunction], types.Type]:
         formula.numba_type = numba_type(formula)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Numba tells that it keeps nothing
-            found, files = beside({}, functools.partial(formula_in_jitted_code, formula))
-        if found != (2.0, 2.5) or files:
-            raise ValueError(f"a formula in jitted code gives {found}; Numba keeps {[*files]}")
+            result, files = beside({}, functools.partial(formula_in_jitted_code, formula))
+        if result != (2.0, 2.5) or files:
+            raise ValueError(f"a formula in jitted code gives {result}; Numba keeps {[*files]}")
     return numba_type

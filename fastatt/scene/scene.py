@@ -429,11 +429,11 @@ def _warn_of_pulses(law: Law) -> None:
     """Warn of functions that compare the time with what they read, where no step ends."""
     for model in law.models:
         function: Any = model.function if isinstance(model, models.UserModel) else None
-        if function is None or function.kept is None:
+        if function is None or function.recording is None:
             continue
         first = sum(max(n, 1) for n in SIGNATURES[model.role].before)
         read = range(first, first + sum(max(n, 1) for _, n in function.signature.reads))
-        if read and function.kept.compares(range(1), read):
+        if read and function.recording.compares(range(1), read):
             names = ", ".join(name for name, _ in function.signature.reads)
             rounding.warn(
                 f"{model.kind}: found {function.described}, which compares the time with {names}; "

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fastatt.tracing.frozen import Freezer, check, guarded
-from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.operations import OPERATIONS
+from fastatt.tracing.recording import Recording
 from fastatt.tracing.replacements import BUILTINS, each, known_names, replaced, unknown_in
 from fastatt.tracing.rewriting import rewritten
 from fastatt.tracing.signature import Signature
@@ -83,7 +83,7 @@ _SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__ch
 class Followed(NamedTuple):
     """A function as operations."""
 
-    kept: Kept
+    recording: Recording
     #: conditions with their answers, of each execution path; one of a choice is by itself
     paths: list[list[tuple[int, bool]]]
     #: conditions of which both sides are tried
@@ -132,14 +132,14 @@ def _followed(function: Any, signature: Signature, *, predicated: bool) -> Follo
         return results
 
     results = [*map(recorder.number, guarded(function, lambda: below([])))]
-    kept = Kept(tuple(recorder.nodes), tuple(results))
+    recording = Recording(tuple(recorder.nodes), tuple(results))
     if {*results} == {recorder.number(math.nan)}:
         error = recorder.error
         text = f"{type(error).__name__}: {error}"
         raise TraceError(f"an error on every path, such as {text}") from error
     paths += [[(condition, answer)] for condition in recorder.chosen for answer in (True, False)]
     conditions = {condition for path in paths for condition, _ in path} - recorder.guards
-    return Followed(kept, paths, conditions)
+    return Followed(recording, paths, conditions)
 
 
 def _path(run: Callable[[], Any], recorder: Recorder, n_results: int, raised: Any) -> list[Any]:

@@ -43,11 +43,10 @@ class Signature(NamedTuple):
         """
         if not n:
             return self
-        if own is None:
-            own = n if self.carries else 0
+        states = own if own is not None else n if self.carries else 0
         call = self.call.replace(", p)", ", s, p)")
-        results = (n - own if self.results < 0 else self.results) + own
-        return self._replace(call=call, before=(*self.before, n), results=results, states=own)
+        results = (n - states if self.results < 0 else self.results) + states
+        return self._replace(call=call, before=(*self.before, n), results=results, states=states)
 
     def with_reads(self, reads: Sequence[tuple[str, int]]) -> Signature:
         """The signature of a function that takes numbers of other terms, before its states."""

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt._jit import MOST_ROUNDS
-from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import Node, RefusedError, TraceError, operands
 from fastatt.tracing.operations import AT_ENDS, OPERATIONS
 from fastatt.tracing.paths import Followed
+from fastatt.tracing.recording import Recording
 from fastatt.tracing.source import evaluated
 
 Numbers = NDArray[np.float64]
@@ -53,16 +53,16 @@ def _unit(q: Numbers) -> Any:
 
 def larger(arguments: Arguments, usual: Numbers) -> Numbers:
     """Arguments of sizes up to some thousands."""
-    x = many(Kept((), ()), arguments, usual)
+    x = many(Recording((), ()), arguments, usual)
     return x[_USUAL : 5 * _USUAL][np.arange(4 * _USUAL) % 4 < 3]
 
 
-def many(kept: Kept, arguments: Arguments, usual: Numbers) -> Numbers:
+def many(recording: Recording, arguments: Arguments, usual: Numbers) -> Numbers:
     """Arguments of many sizes, some of them numbers of the function: the usual ones, and others."""
     rng, n = np.random.default_rng(7), _POINTS
     q, p = slice(1, 1 + arguments.unit), slice(1 + arguments.unit + arguments.others, None)
-    constants = {float(node.args[0]) for node in kept.nodes if node.op == "const"}
-    tables = [x for data in kept.tables.values() for x in data[:2]]
+    constants = {float(node.args[0]) for node in recording.nodes if node.op == "const"}
+    tables = [x for data in recording.tables.values() for x in data[:2]]
     known = [x for x in (*constants, *tables) if np.isfinite(x) and abs(x) < 1e15]
     pool = np.array(sorted({0.0, 1.0, *known, *(-x for x in known)}))
     pool = np.concatenate([pool, 0.5 * (pool[1:] + pool[:-1])])  # and between them
@@ -89,9 +89,9 @@ def check(
 
     ``in_python`` gives the results of a point, and raises what the user's function raises.
     """
-    x = many(followed.kept, arguments, usual)
-    values = followed.kept.evaluate(x.T)
-    results = followed.kept.results_of(values, len(x))
+    x = many(followed.recording, arguments, usual)
+    values = followed.recording.evaluate(x.T)
+    results = followed.recording.results_of(values, len(x))
     sides = _sides(followed, values, len(x))
     possible = _possible(followed, arguments)
     met = [np.flatnonzero(sides[key]) for key in possible]
@@ -111,7 +111,7 @@ def _possible(followed: Followed, arguments: Arguments) -> set[tuple[int, bool]]
 
     On a path the answers before a condition narrow the ranges.
     """
-    nodes, known, sides = followed.kept.nodes, dict[int, Range](), set()
+    nodes, known, sides = followed.recording.nodes, dict[int, Range](), set()
     needed = {condition for path in followed.paths for condition, _ in path}
     for k in reversed(range(len(nodes))):
         needed.update(operands(nodes[k]) if k in needed else ())

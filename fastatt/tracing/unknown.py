@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 import numpy as np
 
 from fastatt.tracing.graph import Graph
-from fastatt.tracing.kept import Table
 from fastatt.tracing.nodes import COMPARISONS, TraceError
 from fastatt.tracing.operations import OPERATIONS
+from fastatt.tracing.recording import Table
 
 #: operations beyond which a function is called, since LLVM compiles more in minutes
 MOST_OPERATIONS, MOST_ASKED = 5000, 200

@@ -20,9 +20,9 @@ from fastatt._cached import cached_property
 from fastatt.tracing import frozen, graph, trial
 from fastatt.tracing.called import ENTRY, compiled, portable
 from fastatt.tracing.graph import Recorded
-from fastatt.tracing.kept import Kept
 from fastatt.tracing.nodes import RefusedError, TraceError
 from fastatt.tracing.paths import follow
+from fastatt.tracing.recording import Recording
 from fastatt.tracing.signature import SIGNATURES
 
 #: further names of arguments
@@ -63,7 +63,7 @@ class UserFunction:
         self.argument, self.reason = "function", ""
         self.signature: Any = None
         #: operations of a followed function, code and values of a called one
-        self.kept: Kept | None = None
+        self.recording: Recording | None = None
         self.code: Any = None
 
     def of(
@@ -151,10 +151,10 @@ class UserFunction:
 
     def _follow(self, params: NDArray[np.float64] | None) -> None:
         followed = follow(self._function, self.signature)
-        spans = [x.span for x in followed.kept.tables if hasattr(x, "span")]
+        spans = [x.span for x in followed.recording.tables if hasattr(x, "span")]
         self.usual = trial.points(self._arguments, params, *spans[:1])
         trial.check(followed, self._arguments, self.usual, self._in_python())
-        self.kept = followed.kept
+        self.recording = followed.recording
 
     def _compile(self, params: NDArray[np.float64] | None) -> None:
         """Compile the function; it may not give numbers nowhere, or others than Python."""
@@ -199,15 +199,15 @@ class UserFunction:
     @property
     def _tried(self) -> NDArray[np.float64]:
         """Points (n, numbers) at which it is evaluated."""
-        if self.kept is None:
+        if self.recording is None:
             return np.array(self.usual)
-        return trial.many(self.kept, self._arguments, self.usual)
+        return trial.many(self.recording, self._arguments, self.usual)
 
     def _gives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Its results at points, (n, results)."""
-        if self.kept is None:
+        if self.recording is None:
             return np.array([self(*point) for point in x])
-        return self.kept.results_of(self.kept.evaluate(x.T), len(x))
+        return self.recording.results_of(self.recording.evaluate(x.T), len(x))
 
     def __repr__(self) -> str:
         if self._function is not None:
@@ -218,11 +218,11 @@ class UserFunction:
     @property
     def followed(self) -> bool:
         """Whether its operations are part of a step."""
-        return self.kept is not None
+        return self.recording is not None
 
     @property
     def _key(self) -> Any:
-        return self._function, self.signature, self.kept, self.code
+        return self._function, self.signature, self.recording, self.code
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, UserFunction) and self._key == other._key
@@ -241,7 +241,7 @@ class UserFunction:
     @property
     def tables(self) -> dict[Any, NDArray[np.float64]]:
         """Arrays of the tables that it reads, by their names in graphs."""
-        return {} if self.kept is None else self.kept.tables
+        return {} if self.recording is None else self.recording.tables
 
     @property
     def address(self) -> int:
@@ -275,9 +275,9 @@ class UserFunction:
         *before, p = args
         numbers = graph.flattened([*before[: len(self.signature.before)], p])
         like = next((x for x in numbers if isinstance(x, Recorded)), None)
-        if self.kept is not None:
+        if self.recording is not None:
             with graph.strictly(numbers):
-                results = tuple(self.kept.replay(numbers))
+                results = tuple(self.recording.replay(numbers))
         elif like is None:
             results = self(*numbers)
         else:

@@ -21,7 +21,7 @@ from fastatt.codegen.processor import processor
 from fastatt.tracing import source
 from fastatt.tracing.finished import Flat
 from fastatt.tracing.graph import Double, Graph, choose, flattened, larger
-from fastatt.tracing.nodes import TraceError, operands
+from fastatt.tracing.nodes import TraceError
 from fastatt.tracing.trace import traceable
 
 FLOATS = {"double": np.float64, "single": np.float32}
@@ -104,47 +104,16 @@ def test_text_is_the_kernel_to_the_bit(name, kind):
 
 def exactly_fused(flat, values):
     """The graph in double precision, its fused operations rounded once."""
-    given = iter(values)
-    found = []
-    with np.errstate(all="ignore"):
-        for node in flat.nodes:
-            args = [found[i] for i in operands(node)]
-            if node.op == "in":
-                found.append(np.float64(next(given)))
-            elif node.op in ("fma", "fms", "fnma") and all(map(math.isfinite, args)):
-                a, b, c = map(Fraction, map(float, args))
-                exact = {"fma": a * b + c, "fms": a * b - c, "fnma": c - a * b}[node.op]
-                found.append(np.float64(float(exact)))
-            else:
-                found.append(OPERATIONS[node.op](node, *args))
-    return [found[i] for i in flat.results]
 
+    def operate(node, args):
+        if node.op not in ("fma", "fms", "fnma") or not all(map(math.isfinite, args)):
+            return source.evaluated(node, args)
+        a, b, c = map(Fraction, map(float, args))
+        exact = {"fma": a * b + c, "fms": a * b - c, "fnma": c - a * b}[node.op]
+        return np.float64(float(exact))
 
-OPERATIONS = {
-    "const": lambda node: np.float64(node.args[0]),
-    "+": lambda node, a, b: a + b,
-    "-": lambda node, a, b: a - b,
-    "*": lambda node, a, b: a * b,
-    "/": lambda node, a, b: a / b,
-    "fma": lambda node, a, b, c: a * b + c,
-    "fms": lambda node, a, b, c: a * b - c,
-    "fnma": lambda node, a, b, c: c - a * b,
-    "neg": lambda node, a: -a,
-    "abs": lambda node, a: abs(a),
-    "sqrt": lambda node, a: np.sqrt(a),
-    "rint": lambda node, a: np.rint(a),
-    "floor": lambda node, a: np.floor(a),
-    "select": lambda node, c, a, b: a if c else b,
-    "<": lambda node, a, b: a < b,
-    "<=": lambda node, a, b: a <= b,
-    ">": lambda node, a, b: a > b,
-    ">=": lambda node, a, b: a >= b,
-    "==": lambda node, a, b: a == b,
-    "!=": lambda node, a, b: a != b,
-    "and": lambda node, a, b: a and b,
-    "or": lambda node, a, b: a or b,
-    "not": lambda node, a: not a,
-}
+    results = source.performed(flat.nodes, map(np.float64, values), operate)
+    return [results[i] for i in flat.results]
 
 
 class Programs:

@@ -433,13 +433,13 @@ def followed(function, n=2):
 
 
 def by_paths(function, n=2):
-    kept = followed(function, n).kept
+    kept = followed(function, n).recording
     return lambda *given: [float(x) for x in kept.replay(given)]
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
 def test_every_path_gives_what_python_gives(function):
-    kept = followed(function).kept
+    kept = followed(function).recording
     points = np.array([(x, y) for x in GRID for y in GRID])
     values = kept.evaluate(points.T)
     for k, (x, y) in enumerate(points.tolist()):
@@ -503,7 +503,7 @@ def test_statements_that_only_add_to_an_array_take_one_path():
     """Selections, not 4096 paths, whatever branches after them."""
     found = followed(thrusters)
     assert sorted(map(len, found.paths)) == [1] * 26
-    assert sum(node.op == "select" for node in found.kept.nodes) == 25
+    assert sum(node.op == "select" for node in found.recording.nodes) == 25
     assert by_paths(thrusters)(0.3, 1.0) == thrusters(0.3, 1.0).tolist()
 
 
@@ -514,7 +514,7 @@ def test_a_function_without_its_source_is_followed():
 
 
 def test_precision_and_derivatives_are_those_of_the_call():
-    kept = followed(lambda x, y: (x * math.sin(y) + 0.5, x if x > y else y * y)).kept
+    kept = followed(lambda x, y: (x * math.sin(y) + 0.5, x if x > y else y * y)).recording
     graph = Graph()
     flat = Flat(graph, kept.replay(graph.inputs("single", "x", 2)), "single")
     assert {n.precision for n in flat.nodes} <= {"single", ""}
@@ -644,8 +644,8 @@ def tried(monkeypatch, change):
 
     def other(function, given):
         found = real(function, given)
-        nodes = tuple(map(change, found.kept.nodes))
-        return found._replace(kept=found.kept._replace(nodes=nodes))
+        nodes = tuple(map(change, found.recording.nodes))
+        return found._replace(recording=found.recording._replace(nodes=nodes))
 
     monkeypatch.setattr("fastatt.tracing.user.follow", other)
 

@@ -36,7 +36,7 @@ class Table:
         return hash(self.digest)
 
 
-class Kept(NamedTuple):
+class Recording(NamedTuple):
     """The operations of a function and the numbers of its results.
 
     ``nodes`` are in no precision; a table is the first argument of "gather" and "look".
@@ -55,8 +55,8 @@ class Kept(NamedTuple):
         """Whether it compares numbers that depend on some of each of several ranges of inputs."""
         depends: list[set[int]] = []
         for node in self.nodes:
-            own = {k for k, x in enumerate(inputs) if node.op == "in" and node.args[0] in x}
-            depends.append(own.union(*(depends[i] for i in operands(node))))
+            itself = {k for k, x in enumerate(inputs) if node.op == "in" and node.args[0] in x}
+            depends.append(itself.union(*(depends[i] for i in operands(node))))
             if node.op in COMPARISONS and len(depends[-1]) == len(inputs):
                 return True
         return False
