@@ -1,7 +1,5 @@
 """What holds for every test: caches of their own, no screen, examples that stay the same."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

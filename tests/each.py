@@ -1,6 +1,4 @@
-"""Many small cases in one test, where pytest's own work would take longer than theirs."""
-
-from __future__ import annotations
+"""Many small cases in one test, where pytest's own work would take longer; cases in tiers."""
 
 import functools
 import inspect
@@ -41,7 +39,11 @@ def each(names, cases):
     return decorate
 
 
-def often(is_chosen, cases):
-    """For ``pytest.mark.parametrize``: the chosen cases, and the others in the slow tier."""
-    slow = {False: pytest.mark.slow, True: ()}
-    return [pytest.param(*case, marks=slow[bool(is_chosen(*case))]) for case in cases]
+#: a case of ``pytest.mark.parametrize`` in the slow tier
+slow = functools.partial(pytest.param, marks=pytest.mark.slow)
+
+
+def in_tiers(often, cases):
+    """Cases of ``pytest.mark.parametrize``; those that are not among ``often`` are slow."""
+    rows = [(x, x if type(x) is tuple else (x,)) for x in cases]
+    return [pytest.param(*row) if x in often else slow(*row) for x, row in rows]

@@ -5,8 +5,6 @@ refuses in one line that names an argument. Anything else is a finding: another 
 but ``StepWarning`` and that of a status, more than 5 s.
 """
 
-from __future__ import annotations
-
 import datetime as dt
 import math
 import random

@@ -1,7 +1,5 @@
 """The assembly of a run's loops, and what is in it."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

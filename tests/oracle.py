@@ -4,8 +4,6 @@ Everything here comes from definitions, not from the kernels. Vectors and quater
 columns, matrices mpmath 3×3; floats are taken exactly.
 """
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

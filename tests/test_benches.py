@@ -1,7 +1,5 @@
 """The scripts in bench/ that figures rest on, run small."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import hostile

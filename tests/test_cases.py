@@ -1,7 +1,5 @@
 """Every figure of the cases that others published, as ``make cases`` compares it."""
 
-from __future__ import annotations
-
 import cases
 import pytest
 from cases_rows import Case, at_most, page, printed

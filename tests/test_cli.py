@@ -1,7 +1,5 @@
 """The command line, run as a user runs it."""
 
-from __future__ import annotations
-
 import builtins
 import subprocess
 import sys
@@ -139,16 +137,7 @@ def test_bad_input_ends_in_one_line(log, capsys, monkeypatch, tmp_path, argument
     assert error.count("\n") == 1
 
 
-@each(
-    "line",
-    [
-        "",
-        "nonsense",
-        "integrate",
-        "integrate a -u rps",
-        "trade --scene moon",
-    ],
-)
+@each("line", ["", "nonsense", "integrate", "integrate a -u rps", "trade --scene moon"])
 def test_usage_errors(line, capsys):
     with pytest.raises(SystemExit) as caught:
         main(line.split())
@@ -178,17 +167,13 @@ def test_a_warning_is_a_line(log, capsys):
     assert "400 attitudes by hold" in found.out
 
 
-def test_methods_lists_all(capsys):
+def test_methods_are_listed_with_what_they_take(capsys):
     assert main(["methods"]) == 0
     text = capsys.readouterr().out
     for method in fa.METHODS.values():
         assert f"\n{method.name} " in f"\n{text}"
         assert method.summary in text
-
-
-def test_methods_say_what_they_take(capsys):
-    main(["methods"])
-    head, *lines = capsys.readouterr().out.split("\n\n")[0].splitlines()
+    head, *lines = text.split("\n\n")[0].splitlines()
     rows = {line.split()[0]: [cell.strip() for cell in line.split("  ") if cell] for line in lines}
     assert head.split() == ["method", "order", "scenes", "representations"]
     bodies = "spherical, symmetric, free, torqued"
@@ -226,7 +211,9 @@ def test_errors_without_a_file_are_a_line(capsys, monkeypatch, error, status, li
     assert capsys.readouterr().err == f"fastatt: {line}\n"
 
 
-@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed", [">&- 2>&-", *(pytest.param(x, marks=pytest.mark.slow) for x in (">&-", "2>&-"))]
+)
 def test_a_closed_output_is_no_error(closed):
     line = f"{sys.executable} -m fastatt cache {closed}"
     done = subprocess.run(["/bin/sh", "-c", line], capture_output=True, check=False)

@@ -3,13 +3,11 @@
 Scenes are of the types that the tests of methods use, for which all is compiled already.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from each import each
+from each import each, in_tiers
 from exact import START, representations
 from extremes import bodies, energy, rates, tables
 from extremes.cases import Case, Column, Outcome
@@ -60,36 +58,48 @@ def complaints(found):
 # pass, and in the other precision
 SOME = [Case(m, r) for m in ("rk4", "magnus4") for r in representations(fa.METHODS[m])[1:]]
 SOME += [Case(m, dtype="float32") for m in ("rk4", "magnus4", "lie_midpoint")]
+RATES = [*(Case(m) for m in of("rate")), *SOME]
+BODIES = [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE]
+LOW_PARTS = [
+    (m, scene, dtype)
+    for m, scene in (("magnus4", "rate"), ("rk4", "free"), ("dmv10", "free"))
+    for dtype in ("float64", "float32")
+]
 
 
-@pytest.mark.parametrize("case", [*(Case(m) for m in of("rate")), *SOME])
+@pytest.mark.parametrize(
+    "case", in_tiers([Case("rk4"), Case("rk4", "euler313"), Case("magnus4"), SOME[-2]], RATES)
+)
 def test_given_rates(case):
     assert complaints(cells(case, "rate")) == []
 
 
 @pytest.mark.parametrize(
-    ("method", "dtype"),
-    [(m, "float64") for m in of("free")] + [(m, "float32") for m in SINGLE],
+    ("method", "dtype"), in_tiers([("rk4", "float64"), ("dmv10", "float32")], BODIES)
 )
 def test_free_bodies(method, dtype):
     assert complaints(cells(Case(method, dtype=dtype), "free")) == []
 
 
-@pytest.mark.parametrize("method", of("torqued"))
+@pytest.mark.parametrize("method", in_tiers(["rk4", "strang2"], of("torqued")))
 def test_torques(method):
     """Damping of any strength and a pendulum of any frequency."""
     assert complaints(cells(Case(method), "torqued")) == []
 
 
-@each("dtype", ["float64", "float32"])
-@each(("method", "scene"), [("magnus4", "rate"), ("rk4", "free"), ("dmv10", "free")])
+@pytest.mark.parametrize(
+    ("method", "scene", "dtype"), in_tiers([("magnus4", "rate", "float64")], LOW_PARTS)
+)
 def test_compensated(method, scene, dtype):
     """Low parts spoil no status, whatever becomes of them."""
     assert complaints(cells(Case(method, dtype=dtype, compensated=True), scene)) == []
 
 
-@each("scene", ["sampled rates", "increments"])
-@each("method", [m.name for m in fa.METHODS.values() if m.window is not None])
+OF_SAMPLES = [m.name for m in fa.METHODS.values() if m.window is not None]
+
+
+@pytest.mark.parametrize("scene", ["sampled rates", "increments"])
+@pytest.mark.parametrize("method", in_tiers(["hold", "coning2"], OF_SAMPLES))
 def test_samples(method, scene):
     if scene in fa.METHODS[method].scenes:
         assert complaints(cells(Case(method), scene)) == []
@@ -108,7 +118,7 @@ def test_a_rate_that_is_known_to_be_constant(method):
 # that the rule can be broken
 
 
-@each("method", of("rate"))
+@pytest.mark.parametrize("method", in_tiers(["rk4", "magnus4"], of("rate")))
 def test_cones_past_the_limit_are_wrong_but_for_their_status(method):
     """The flags hide nothing that would do without them."""
     for theta in (3.6, 4.5, 5.5):
@@ -117,7 +127,7 @@ def test_cones_past_the_limit_are_wrong_but_for_their_status(method):
         assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
 
 
-@pytest.mark.parametrize("method", of("free"))
+@pytest.mark.parametrize("method", in_tiers(["rk4", "dmv10"], of("free")))
 def test_bodies_past_the_limit_are_wrong_but_for_their_status(method):
     inertia = np.array(bodies.SHAPES["1, 2, 2.9"])
     w0 = np.vstack([theta * bodies.spins(inertia)[:8] for theta in (4.0, 6.0, 7.0, 8.0, 12.0)])

@@ -1,7 +1,5 @@
 """Hostile input is refused in one line that names an argument, or its result is right."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The package as it is built, installed and imported."""
 
-from __future__ import annotations
-
 import ast
 import compileall
 import email
@@ -21,7 +19,6 @@ from fastatt import methods
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-RUNTIME = {"numba", "numpy"}
 OPTIONAL = ["matplotlib", "tqdm", "scipy", "dask", "distributed", "skinematics"]
 
 
@@ -47,33 +44,22 @@ def metadata(wheel):
     return email.message_from_bytes(wheel.read(name))
 
 
-def test_version_is_the_projects(metadata):
+def test_metadata(metadata):
+    """The version is the project's; what it needs to run is NumPy and Numba."""
     assert PROJECT["dynamic"] == ["version"]
     assert fastatt.__version__ == metadata["Version"]
-
-
-def test_runtime_needs_numba_and_numpy_only(metadata):
-    assert names(PROJECT["dependencies"]) == RUNTIME
     required = metadata.get_all("Requires-Dist")
-    assert names(r for r in required if "extra ==" not in r) == RUNTIME
+    for needed in (PROJECT["dependencies"], [r for r in required if "extra ==" not in r]):
+        assert names(needed) == {"numba", "numpy"}
+    assert metadata["Description-Content-Type"] == "text/markdown", "pyproject.toml: readme"
 
 
-def test_wheel_holds_every_module_and_the_type_marker_and_nothing_else(wheel):
+def test_wheel_holds_every_module_the_type_marker_the_licence_and_the_command(wheel):
     shipped = {n for n in wheel.namelist() if ".dist-info/" not in n}
     files = (ROOT / "fastatt").rglob("*.py")
     typed = {"fastatt/py.typed", "fastatt/__init__.pyi"}
     assert shipped == {p.relative_to(ROOT).as_posix() for p in files} | typed
-
-
-def test_readme_is_shipped(metadata):
-    assert metadata["Description-Content-Type"] == "text/markdown", "pyproject.toml: readme"
-
-
-def test_licence_is_shipped(wheel):
     assert any(n.endswith(".dist-info/licenses/LICENSE") for n in wheel.namelist())
-
-
-def test_command_is_declared(wheel):
     (name,) = (n for n in wheel.namelist() if n.endswith(".dist-info/entry_points.txt"))
     assert "fastatt = fastatt.__main__:main" in wheel.read(name).decode()
 
@@ -116,17 +102,24 @@ def test_methods_of_all_files_are_listed():
     assert defined == set(methods._FILES.items())
 
 
+FIRST_RUN = f"""
+import sys
+import fastatt.engine.tape
+print(*{{'numba', *{OPTIONAL}}} & {{*sys.modules}})
+import fastatt as fa
+fa.propagate(fa.Scene(inertia=(1.0, 2.0, 2.5)), [1, 0, 0, 0], [0.1, 0.2, 0.3], dt=0.01, n_steps=1,
+             method="rk4")
+print(*(m for m in sys.modules if m.startswith("fastatt")))
+"""
+
+
 def test_a_first_run_imports_what_it_needs():
-    """No method but its own, no model of torques, no closed form."""
-    loaded = fresh_python(
-        "import sys, fastatt as fa; fa.propagate(fa.Scene(inertia=(1.0, 2.0, 2.5)), [1, 0, 0, 0], "
-        "[0.1, 0.2, 0.3], dt=0.01, n_steps=1, method='rk4'); "
-        "print(*(m for m in sys.modules if m.startswith('fastatt')))"
-    )
-    assert len(loaded) <= 85
-    assert not {"fastatt.methods.magnus", "fastatt.scene.torques", "fastatt.closed_form"} & {
-        *loaded
-    }
+    """No optional package and no compiler at first; no method but its own, no model of torques."""
+    not_needed, loaded = fresh_python(FIRST_RUN).splitlines()
+    assert not_needed == ""
+    others = {"fastatt.methods.magnus", "fastatt.scene.torques", "fastatt.closed_form"}
+    assert len(loaded.split()) <= 85
+    assert not others & {*loaded.split()}
 
 
 def fresh_python(code):
@@ -134,7 +127,7 @@ def fresh_python(code):
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout.split()
+    return done.stdout
 
 
 @pytest.mark.parametrize("kind", ["zip", "pyc"])
@@ -158,12 +151,3 @@ def test_an_installation_without_sources_says_so(tmp_path, kind):
 
 def test_import_works_without_optional_packages():
     fresh_python(f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL})); import fastatt")
-
-
-def test_import_loads_no_optional_package():
-    """Numba itself loads scipy where it is installed: what counts is what comes on top."""
-    loaded = fresh_python(
-        "import sys, numba; before = set(sys.modules); import fastatt; "
-        "print(*set(sys.modules) - before)"
-    )
-    assert [m for m in loaded if m.partition(".")[0] in OPTIONAL] == []

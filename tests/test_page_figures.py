@@ -1,7 +1,5 @@
 """Figures of pages are what their command writes, and what words beside them say of them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from fnmatch import fnmatch

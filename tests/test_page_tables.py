@@ -15,19 +15,17 @@ PAGES = Path(fa.__file__).parent / "docs"
 
 
 def table(page, header):
-    """The cells of the rows of the table with a header."""
-    _, found, text = (PAGES / page).read_text(encoding="utf-8").partition(f"\n| {header} |")
+    """The cells of the rows of the tables with a header."""
+    _, *found = (PAGES / page).read_text(encoding="utf-8").split(f"\n| {header} |")
     assert found
-    rows = text.partition("\n\n")[0].splitlines()[2:]
-    return [[cell.strip() for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
+    rows = [row for text in found for row in text.partition("\n\n")[0].splitlines()[2:]]
+    return [[cell.strip(" `") for cell in re.split(r"(?<!\\)\|", row)[1:-1]] for row in rows]
 
 
 def test_the_guide_has_every_model_with_its_arguments():
     for module, header in (("rates", "model"), ("torques", "model of `fa.torques`")):
         models = getattr(fa, module)
-        calls = [
-            re.fullmatch(r"`(\w+)\((.*)\)`", row[0]) for row in table("guides/scenes.md", header)
-        ]
+        calls = [re.fullmatch(r"(\w+)\((.*)\)", x) for x, *_ in table("guides/scenes.md", header)]
         assert {call[1] for call in calls} == set(models.__all__)
         for call in calls:
             named = call[2].removesuffix(", ...").split(", ")
@@ -84,9 +82,26 @@ def test_the_changelog_names_what_users_choose_from():
 
 
 def test_the_page_has_every_method_with_its_source():
-    rows = table("explanations/methods.md", "name")
-    named = [name for row in rows for name in re.findall(r"`(\w+)`", row[0])]
+    rows = table("explanations/methods.md", "name | method")
+    named = [name for row in rows for name in re.findall(r"\w+", row[0])]
     assert sorted(named) == sorted(fa.METHODS)
+    found = {(row[0], row[-1]) for row in table("explanations/methods.md", "method | for")}
+    assert {x for x in found if x[1]} <= {(m.name, m.summary) for m in fa.METHODS.values()}
+    assert {name for name, summary in found if summary} == set(fa.METHODS)
+
+
+def test_the_page_has_the_flags_and_the_limits_of_the_records():
+    flags = [[flag.name, str(int(flag))] for flag in fa.Status if flag]
+    assert [row[:2] for row in table("explanations/status.md", "flag")] == flags
+    expected = []
+    for record in filter(lambda m: m.is_stepped, fa.METHODS.values()):
+        stored = [x for x in ("quat", "dcm", "mrp", "euler313") if record.stores(x)]
+        limits = [f"{record.limit(x):.3g}" for x in stored] + [""] * (4 - len(stored))
+        for other in ({"body": True}, {"torqued": True}):
+            own = record.limit("quat", **other)
+            limits.append("" if own == record.limit("quat") else f"{own:.3g}")
+        expected.append([record.name, record.measure, *limits])
+    assert table("explanations/status.md", "method | measure") == expected
 
 
 def test_the_page_has_the_methods_that_are_reversible():
@@ -94,4 +109,4 @@ def test_the_page_has_the_methods_that_are_reversible():
     scenes["free bodies and torques"] = {*scenes["free bodies"], "torqued"}
     for names, where in table("reference/methods.md", "methods"):
         expected = {m.name for m in fa.METHODS.values() if set(m.reversible) == scenes[where]}
-        assert set(re.findall(r"`(\w+)`", names)) == expected
+        assert set(re.findall(r"\w+", names)) == expected

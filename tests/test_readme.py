@@ -223,8 +223,8 @@ def values(action: argparse.Action) -> str:
 
 
 def of_tier(path: Path):
-    """A page as a case: in `make test` those that a newcomer reads first."""
-    marks = () if path in (README, DOCS / "tutorial.md") else pytest.mark.slow
+    """A page as a case: in `make test` the one that a newcomer reads first."""
+    marks = () if path == README else pytest.mark.slow
     return pytest.param(path, id=path.relative_to(ROOT).as_posix(), marks=marks)
 
 

@@ -1,7 +1,5 @@
 """Each argument by itself replaced by what it is not: a result, or a refusal that names it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

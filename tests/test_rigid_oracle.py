@@ -1,7 +1,5 @@
 """The references for torqued bodies against known numbers and first integrals."""
 
-from __future__ import annotations
-
 import mpmath as mp
 import oracle
 import pytest

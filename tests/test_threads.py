@@ -1,7 +1,5 @@
 """Threads that stay: calls in their order, errors, calls within calls, forks, the end."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Ways of a run: methods of each sort, and all that a run may carry or do beside its steps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import fastatt as fa

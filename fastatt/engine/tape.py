@@ -194,7 +194,6 @@ class Steps:
         self._keys = 2 * np.maximum(positions, self.first) + (self._rests != 0.0)
         # pieces by their first position and length, in times since the start
         self._pieces: dict[tuple[int, int, int], Piece] = {}
-        self._room = _KEPT
         #: whether a tape copies tiles
         self.forks = has_events or bool(self._rests.any())
 
@@ -261,8 +260,7 @@ class Steps:
             steps = max(1, self.length - self.first)
             share = (position - self.first) / steps, (end - self.first) / steps
             piece = Piece(tape, share, end, -1 if is_within else whole, self._saves_until(end))
-            if tape.size <= self._room:
-                self._room -= tape.size
+            if tape.size + sum(x.tape.size for x in self._pieces.values()) <= _KEPT:
                 self._pieces[key] = piece
         return piece
 

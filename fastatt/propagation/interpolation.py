@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple, overload
 
@@ -161,14 +160,19 @@ def _rates_of(t: NDArray[np.float64], q: ArrayLike) -> NDArray[np.float64]:
     q = make_continuous(q)  # so that rotation vectors may exceed π
     n = min(_NEIGHBOURS, t.size)
     nodes = np.clip(np.arange(t.size) - n // 2, 0, t.size - n)[:, None] + np.arange(n)
-    slopes = _slopes(*_ratios(t[nodes], t[:, None]))
+    gaps = t[:, None] - t[nodes]
+    gaps[gaps == 0.0] = 1.0
     rates = np.zeros((*q.shape[:-1], 3))
     for k in range(n):
+        others = np.delete(nodes, k, axis=1)
+        apart = (t[nodes[:, k], None] - t[others]).prod(axis=1)
+        weight = np.delete(gaps, k, axis=1).prod(axis=1) / apart
+        weight = np.where(nodes[:, k] == np.arange(t.size), 0.0, weight)
         turn = quat_multiply(q * (1.0, -1.0, -1.0, -1.0), q[nodes[:, k]])
         size = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
         angle = 2.0 * np.arctan2(size, turn[..., :1])
         vector = turn[..., 1:] * np.where(size > 0.0, angle / np.where(size > 0.0, size, 1.0), 2.0)
-        rates += slopes[:, k].reshape(-1, *[1] * (q.ndim - 1)) * vector
+        rates += weight.reshape(-1, *[1] * (q.ndim - 1)) * vector
     return rates
 
 
@@ -296,7 +300,9 @@ def _columns_between(
     columns = values.reshape(t.size, -1)
     out = np.empty((times.size, columns.shape[1]), values.dtype)
     apart = np.zeros(columns.shape[1])
-    for part in _parts(times.size, columns.shape[1]):
+    step = max(1, _ROWS // columns.shape[1])
+    for a in range(0, times.size, step):
+        part = slice(a, a + step)
         with np.errstate(all="ignore"):
             out[part] = _polynomial(saves, columns, times[part], 2 * _NODES)
             rough = _polynomial(saves, columns, times[part], _NODES)
@@ -310,12 +316,6 @@ def _columns_between(
             "more often"
         )
     return out.reshape(times.size, *values.shape[1:])
-
-
-def _parts(rows: int, columns: int) -> Iterator[slice]:
-    """The rows that are evaluated at a time."""
-    step = max(1, _ROWS // columns)
-    return (slice(first, first + step) for first in range(0, rows, step))
 
 
 def _checked_times(t: ArrayLike, times: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -342,37 +342,13 @@ def _polynomial(
     """The polynomial through the nearest saves, at most so many, at times within ``t``."""
     n = min(most, saves.t.size)
     nodes, places, _ = _around(saves, times, n)
-    weights = _ratios(places, times[:, None])[0].prod(axis=2)
     total = np.zeros((times.size, columns.shape[1]))
     for k in range(n):
-        weight = weights[:, k, None]
+        others, itself = np.delete(places, k, axis=1), places[:, k]
+        weight = ((times[:, None] - others) / (itself[:, None] - others)).prod(axis=1)
         # a save that is not finite has no part in the saves themselves
-        total += np.where(weight == 0.0, 0.0, weight * columns[nodes[:, k]])
+        total += np.where(weight[:, None] == 0.0, 0.0, weight[:, None] * columns[nodes[:, k]])
     return total
-
-
-def _ratios(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """The factors (s − s_j) / (s_k − s_j) of Lagrange's polynomials (T, k, j), and the gaps.
-
-    Those with k = j are 1.
-    """
-    itself = np.arange(nodes.shape[1])
-    gaps = nodes[:, :, None] - nodes[:, None, :]
-    gaps[:, itself, itself] = 1.0
-    ratios = (s - nodes)[:, None, :] / gaps
-    ratios[:, itself, itself] = 1.0
-    return ratios, gaps
-
-
-def _slopes(ratios: NDArray[np.float64], gaps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The derivatives of Lagrange's polynomials (T, k)."""
-    slopes = np.zeros(ratios.shape[:2])
-    for k in range(ratios.shape[1]):
-        rest = ratios.copy()
-        rest[:, :, k] = 1.0 / gaps[:, :, k]
-        rest[:, k, :] = 0.0
-        slopes += rest.prod(axis=2)
-    return slopes
 
 
 def _around(
@@ -438,7 +414,9 @@ def _between(
     q_out = np.empty((times.size, bodies, 4), dtype)
     w_out = np.empty((times.size, bodies, 3), dtype)
     doubt = np.zeros(bodies)
-    for part in _parts(times.size, bodies):
+    step = max(1, _ROWS // bodies)
+    for a in range(0, times.size, step):
+        part = slice(a, a + step)
         taken = nodes[part].T
         with np.errstate(all="ignore"):
             q_out[part], w_out[part], apart = formula(
@@ -476,10 +454,23 @@ def _far(t: NDArray[np.float64], w: NDArray[Any], used: NDArray[np.intp]) -> NDA
 
 def _weights(nodes: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weights (T, 4 n) at s: of the values and slopes at n nodes, then those of the derivative."""
-    ratios, gaps = _ratios(nodes, s)
-    lagrange, slope = ratios.prod(axis=2), _slopes(ratios, gaps)
-    # the slope of each at its own node
-    c, x = (1.0 / gaps - np.eye(nodes.shape[1])).sum(axis=2), s - nodes
+    n = nodes.shape[1]
+    gaps = nodes[:, :, None] - nodes[:, None, :]
+    ahead = (s - nodes)[:, None, :] + np.zeros((n, 1))
+    itself = np.arange(n)
+    gaps[:, itself, itself] = 1.0
+    ratio = ahead / gaps
+    ratio[:, itself, itself] = 1.0
+    lagrange = ratio.prod(axis=2)
+    slope = np.zeros_like(lagrange)
+    for k in range(n):
+        rest = ratio.copy()
+        rest[:, :, k] = 1.0 / gaps[:, :, k]
+        rest[:, k, :] = 0.0
+        slope += rest.prod(axis=2)
+    inverse = 1.0 / gaps
+    inverse[:, itself, itself] = 0.0
+    c, x = inverse.sum(axis=2), s - nodes
     square, double = lagrange**2, 2.0 * lagrange * slope
     value = 1.0 - 2.0 * x * c
     return np.concatenate(

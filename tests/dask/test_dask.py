@@ -10,7 +10,7 @@ import warnings
 
 import numpy as np
 import pytest
-from each import often
+from each import in_tiers
 from ways import given
 
 import fastatt as fa
@@ -69,7 +69,7 @@ def same(found, expected):
     return found.dtype == expected.dtype and np.array_equal(found, expected, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", often(OFTEN.__contains__, [(name,) for name in RUNS]))
+@pytest.mark.parametrize("name", in_tiers(OFTEN, RUNS))
 def test_bits_do_not_depend_on_chunks(name):
     scene, arguments = RUNS[name]
     whole = fa.propagate(scene, **arguments)

@@ -1,7 +1,5 @@
 """Numbers that bodies have in common: found, and worked on once (the bits: test_one_result)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,15 +1,8 @@
-"""What the compiled code is: packed, cached, free of the GIL, without allocation."""
+"""What the compiled code is: packed, free of the GIL, without allocation."""
 
-from __future__ import annotations
-
-import json
 import math
-import os
-import subprocess
-import sys
 import threading
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +25,6 @@ from fastatt.engine.machine import tile_machine
 from fastatt.engine.run import Run
 from fastatt.gyro.loops import loop as gyro_loop
 
-ROOT = Path(fa.__file__).resolve().parents[1]
 BODIES = generic(64)
 Q0 = np.broadcast_to(START, (64, 4))
 
@@ -131,65 +123,6 @@ def test_an_opaque_call_makes_the_loop_another(monkeypatch):
         assert not all(map(is_packed, loops))
 
 
-# the disk cache
-
-
-def fresh(code, *arguments, folder=ROOT, **environment):
-    """What a process of its own prints."""
-    path = os.pathsep.join((str(folder), str(ROOT / "tests")))
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
-
-
-CALLED = """
-import json, math
-import fastatt as fa
-from fastatt import _store as store
-from numba import njit
-
-@njit
-def straight(t, p):
-    return 0.1, p[0], 0.3 * math.sin(t)
-
-@njit
-def winding(t, p):
-    return 0.1, p[0], math.gamma(1.5 + t * t)
-
-for rate in (fa.rates.Constant([[0.1, 0.2, 0.3]] * 3), straight, winding):
-    scene = fa.Scene(rate=rate, params=[0.2] if callable(rate) else None)
-    assert [f.followed for f in scene.functions] == [rate is straight] * callable(rate)
-    run = fa.propagate(scene, [[1.0, 0, 0, 0]] * 3, dt=0.1, n_steps=3, method="lie_euler")
-    print(json.dumps([store.hits, store.made, run.q[-1].tolist()]))
-"""
-
-
-def test_second_process_compiles_nothing(tmp_path):
-    """Nor does the folder grow; nor with a user's own function, traced or called."""
-    script = tmp_path / "called.py"  # a traced function's source has to be somewhere
-    script.write_text(CALLED, encoding="utf-8")
-    run_it = f"import runpy; runpy.run_path({str(script)!r})"
-
-    def call():
-        out = fresh(run_it, FASTATT_CACHE=str(tmp_path / "cache"), NUMBA_CACHE_DIR="").splitlines()
-        found = {p.name: p.stat() for p in (tmp_path / "cache").rglob("*") if p.is_file()}
-        files = {name: (s.st_ino, s.st_size) for name, s in found.items()}
-        *counts, results = zip(*map(json.loads, out), strict=True)
-        return counts, results, files
-
-    counts, results, files = call()
-    assert counts == [(0, 0, 0), (2, 3, 4)]  # the machine too
-    assert len(files) == 4
-    assert call() == ([(2, 3, 4), (0, 0, 0)], results, files)
-
-
 # memory and the GIL
 
 
@@ -264,16 +197,3 @@ def test_bodies_run_on_several_threads(monkeypatch):
     bodies = generic(640)
     run(bodies.scene, n=4, q0=np.tile(START, (640, 1)), n_threads=2)
     assert len(seen) == 2
-
-
-def test_an_error_in_one_piece_stops_the_run(monkeypatch):
-    calls = []
-
-    def broken(*args):
-        calls.append(args)
-        raise RuntimeError("piece")
-
-    monkeypatch.setattr(Run, "perform", broken)
-    with pytest.raises(RuntimeError, match="piece"):
-        run(generic(6400).scene, q0=np.tile(START, (6400, 1)), n_threads=2)
-    assert len(calls) < 16

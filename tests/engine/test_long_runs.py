@@ -1,7 +1,5 @@
 """Round-off over many steps: carried along or not, and the return to the group."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -47,7 +45,7 @@ def rms(x):
 
 
 def test_round_off_grows_with_the_root_of_the_steps_where_it_is_carried():
-    """1e5 steps: biased rounding of the plain mode is 100 times what is left of it."""
+    """1e5 steps: biased rounding of the plain mode is 100 times what is left; single precision."""
     plain, _ = steady(100_000)
     few, _ = steady(6250, compensated=True)
     angle, norm = steady(100_000, compensated=True)
@@ -58,9 +56,6 @@ def test_round_off_grows_with_the_root_of_the_steps_where_it_is_carried():
     assert rms(angle) < rms(plain) / 50.0
     assert rms(norm) < EPS
     assert np.abs(norm).max() < 4.0 * EPS
-
-
-def test_single_precision_survives_too():
     eps = float(np.finfo(np.float32).eps)
     plain, _ = steady(80_000, "float32")
     angle, norm = steady(80_000, "float32", compensated=True)

@@ -3,8 +3,6 @@
 Over ways of a run: methods of each sort, and all that a run may carry or do beside its steps.
 """
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 
@@ -79,14 +77,14 @@ def test_saves_change_no_bit(way):
     for n in (0, 1, 63):
         few = run(way, n=n)
         assert of_one_sign(few).tobytes() == of_one_sign(every)[[n]].tobytes()
-    pieces = []
-    last = run(way, save_every=7, on_save=lambda x: pieces.append((x.t.copy(), x.state.copy())))
     steps = [*range(0, STEPS, 7), STEPS]
-    for x, wanted in zip(
-        map(np.concatenate, zip(*pieces, strict=True)), (every.t, every.state), strict=True
-    ):
-        assert x.tobytes() == wanted[steps].tobytes()
-    assert of(last) == of(every, saves=[-1])
+    for saves in ({"save_every": 7}, {"save_at": every.t[steps]}):
+        pieces = []
+        last = run(way, **saves, on_save=lambda x, p=pieces: p.append((x.t.copy(), x.state.copy())))
+        t, states = map(np.concatenate, zip(*pieces, strict=True))
+        assert t.tobytes() == every.t[steps].tobytes()
+        assert states.tobytes() == every.state[steps].tobytes()
+        assert of(last) == of(every, saves=[-1])
 
 
 @ways

@@ -1,10 +1,6 @@
 """The tape of a run: in pieces as a whole, without a compiler (what it does: test_one_result)."""
 
-from __future__ import annotations
-
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -47,12 +43,6 @@ def read(records):
         }.get(action.name, ())  # fmt: skip
         found.append(" ".join([action.name + "+1" * later, *(f"{x[n]:g}" for n in numbers)]))
     return found
-
-
-def test_the_module_needs_no_compiler():
-    code = "import sys, fastatt.engine.tape; print('numba' in sys.modules)"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout == "False\n"
 
 
 def test_the_time_of_the_start_moves_clocks_alone():

@@ -8,17 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 import fastatt as fa
-from extremes.cases import (
-    Case,
-    Outcome,
-    angle,
-    exp,
-    mul,
-    propagate,
-    rounding,
-    single,
-    truncation,
-)
+from extremes.cases import Case, Outcome, angle, exp, mul, propagate, rounding, single, truncation
 from extremes.rates import rates
 
 

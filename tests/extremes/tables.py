@@ -15,9 +15,7 @@ from extremes.samples import sampled
 def poles(*, body: bool) -> list[Column]:
     def column(name: str, kind: str, distance: float) -> Column:
         return Column(
-            name,
-            passage(kind, distance, body=body),
-            lambda case: case.representation in ANGLES,
+            name, passage(kind, distance, body=body), lambda case: case.representation in ANGLES
         )
 
     return [

@@ -1,7 +1,5 @@
 """Kernels of rigid bodies against mpmath."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath as mp

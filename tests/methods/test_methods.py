@@ -1,9 +1,6 @@
 """Orders and invariants of every method for a given rate, over the list."""
 
-from __future__ import annotations
-
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,35 +121,6 @@ SCENES = {
     "rate": fa.Scene(rate=fa.rates.Coning(0.5, 1.0)),
     "torqued": fa.Scene(inertia=(1.0, 2.0, 2.5), torque=fa.torques.HeavyTop((0.1, 0.2, 0.3), 1.0)),
 }
-
-
-def test_the_page_has_the_summaries_of_the_records():
-    page = Path(fa.__file__).parent / "docs/explanations/methods.md"
-    lines = page.read_text(encoding="utf-8").splitlines()
-    rows = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in lines]
-    found = {(row[0], row[-1]) for row in rows if len(row) == 8 and row[0] in fa.METHODS}
-    assert found - {(m.name, m.summary) for m in fa.METHODS.values()} <= {
-        (name, "") for name in fa.METHODS
-    }
-    assert {name for name, summary in found if summary} == set(fa.METHODS)
-
-
-def test_the_page_has_the_limits_of_the_records():
-    page = Path(fa.__file__).parent / "docs/explanations/status.md"
-    text = page.read_text(encoding="utf-8").partition("| method | measure |")[2]
-    found = [
-        [cell.strip() for cell in line.split("|")[1:-1]]
-        for line in text.partition("\n\n")[0].splitlines()[2:]
-    ]
-    expected = []
-    for record in filter(lambda m: m.is_stepped, fa.METHODS.values()):
-        stored = [x for x in ("quat", "dcm", "mrp", "euler313") if record.stores(x)]
-        limits = [f"{record.limit(x):.3g}" for x in stored] + [""] * (4 - len(stored))
-        for other in ({"body": True}, {"torqued": True}):
-            own = record.limit("quat", **other)
-            limits.append("" if own == record.limit("quat") else f"{own:.3g}")
-        expected.append([f"`{record.name}`", record.measure, *limits])
-    assert found == expected
 
 
 @pytest.mark.parametrize(

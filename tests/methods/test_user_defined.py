@@ -1,7 +1,5 @@
 """Methods of one's own, from outside the package."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What arguments are taken for: precision by the arrays given, durations, names on offer."""
 
-from __future__ import annotations
-
 import datetime as dt
 import itertools
 import re
@@ -29,11 +27,7 @@ def test_precision_is_single_where_every_array_is(kinds):
         assert found.dtype == dtype
 
 
-DURATIONS = [
-    np.timedelta64(10, "ms"),
-    dt.timedelta(milliseconds=10),
-    np.array([10, 20], "m8[ms]"),
-]
+DURATIONS = [np.timedelta64(10, "ms"), dt.timedelta(milliseconds=10), np.array([10, 20], "m8[ms]")]
 TAKE_TIME = {
     "dt": lambda d: fa.propagate(FREE, [1, 0, 0, 0], [0, 0, 1], dt=d, n_steps=2),
     "t0": lambda d: fa.propagate(FREE, [1, 0, 0, 0], [0, 0, 1], dt=1.0, n_steps=2, t0=d),

@@ -1,7 +1,5 @@
 """Measures of a trajectory: what left the group, and how far from a reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from exact import EPS, START, angle, generic

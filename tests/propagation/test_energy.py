@@ -1,7 +1,5 @@
 """Energy and momentum of bodies, and their drift, from definitions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from exact import EPS, START

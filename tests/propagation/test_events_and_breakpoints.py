@@ -1,7 +1,5 @@
 """Events of runs whose steps are taken in parts, beside a motion that is known in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,29 +1,14 @@
 """Events of runs with ``save_at``, with per-body step sizes, and of runs that are resumed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from each import in_tiers
+from test_events import BODY, MOMENTS, Q0, W0, N, first_rate, height
 
 import fastatt as fa
 
-MOMENTS = (3.0, 2.0, 1.0)
-BODY = fa.Scene(inertia=MOMENTS)
-RNG = np.random.default_rng(4)
-N = 70  # a tile and some
-Q0 = RNG.normal(size=(N, 4))
-Q0 /= np.linalg.norm(Q0, axis=1)[:, None]
-W0 = RNG.normal(size=(N, 3))
-SIZES = RNG.uniform(0.011, 0.03, N)  # s
+SIZES = np.random.default_rng(4).uniform(0.011, 0.03, N)  # s
 END = 10.0
-
-
-def first_rate(t, q, w, p):
-    return w[0] - 0.1
-
-
-def height(t, q, w, p):
-    return 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
 
 
 def late(t, q, w, p):
@@ -60,7 +45,7 @@ def assert_stopped(found, k):
     assert np.abs(found.w[is_late, k, 0] - 0.1).max(initial=0.0) < 1e-12
 
 
-@pytest.mark.parametrize("name", ["free", "stops"])
+@pytest.mark.parametrize("name", in_tiers(["stops"], ["free", "stops"]))
 def test_per_body_step_sizes(reference, name):
     found = run(STOPS if name == "stops" else FREE, dt=SIZES, save_at=TIMES)
     np.testing.assert_allclose(found.event_times, reference[name].event_times, rtol=0.0, atol=1e-11)
@@ -116,7 +101,7 @@ def test_steps_after_the_end_of_a_body_set_no_status():
     np.testing.assert_allclose(found.event_times, 1.0, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("stops", [-1e-3, 5e-4, None])
+@pytest.mark.parametrize("stops", in_tiers([5e-4], [-1e-3, 5e-4, None]))
 def test_beside_breakpoints(stops):
     """A torque that jumps in the middle of steps; a crossing right before and after the jump."""
     jump = 3.3333

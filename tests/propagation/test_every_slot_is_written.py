@@ -1,7 +1,5 @@
 """No number of a result is left as memory had it, and Ctrl-C leaves what was done."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -203,8 +201,11 @@ def test_ctrl_c_at_each_piece(is_file, tmp_path, monkeypatch):
         done = int(np.isfinite(run.w[:, 0, 0]).sum())
         saves.append(done)
         assert run.t.tobytes() == whole.t[: done if is_file else None].tobytes()
+        if is_file:
+            assert np.load(tmp_path / "h.times.npy").tobytes() == whole.t.tobytes()
         assert run.state[:done].tobytes() == whole.state[:done].tobytes()
-        assert np.isnan(run.state[done:]).all()
+        rest = np.load(tmp_path / "h.npy") if is_file else run.state
+        assert np.isnan(rest[done:]).all()
         assert (run.status == fa.Status.UNFINISHED).all()
         found = np.isfinite(run.event_times)
         assert np.array_equal(run.event_times[found], whole.event_times[found])

@@ -1,7 +1,5 @@
 """Heavy symmetric tops in closed form against integration with many digits and conserved sums."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -79,23 +79,6 @@ def test_a_disk_that_fails_on_the_way_is_an_error(tmp_path):
     assert np.isnan(history[-1]).all()
 
 
-def test_what_was_not_saved_is_no_number(tmp_path):
-    """Of a run that Ctrl-C ended."""
-
-    def stop(piece):
-        if piece.t[-1] > 5.0:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as stopped:
-        saved(tmp_path / FILES[0], stop)
-    history, times = (np.load(tmp_path / name) for name in FILES)
-    made = stopped.value.trajectory.t
-    assert 0 < made.size < len(history) == times.size == 41
-    assert np.array_equal(times[: made.size], made)
-    assert np.array_equal(history[: made.size, 0, :4], stopped.value.trajectory.q)
-    assert np.isnan(history[made.size :]).all()
-
-
 def kill(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 

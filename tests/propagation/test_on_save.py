@@ -1,7 +1,5 @@
 """Saves handed out as they come, under one bar."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,12 +1,8 @@
 """Which two options of ``propagate`` combine: every pair is tried, but for those of one table."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from pathlib import Path
-
-import numpy as np
 
 import fastatt as fa
 from fastatt.propagation.schedule import FORBIDDEN
@@ -86,18 +82,3 @@ def test_the_page_shows_the_table():
     rows = [f"| `{first}` | `{second}` | {accepted} |" for first, second, accepted in FORBIDDEN]
     assert "\n".join(rows) in PAGE.read_text()
     assert len(FORBIDDEN) <= 6
-
-
-def test_saves_at_any_times_are_handed_out(tmp_path):
-    times = np.sort(np.random.default_rng(1).uniform(0.0, 4.0, 50))
-    steps = {"dt": 0.1, "method": "rk4", "t_end": 4.0, "save_at": times}
-    whole, pieces, file = fa.propagate(FREE, **START, **steps), [], tmp_path / "end"
-    run = fa.propagate(
-        FREE, **START, **steps, checkpoint=file,
-        on_save=[lambda x: pieces.append(x.q.copy()), fa.to_file(tmp_path / "saves.npy")],
-    )  # fmt: skip
-    assert (np.concatenate(pieces) == whole.q).all()
-    assert (run.q == whole.q).all()
-    end = fa.propagate(FREE, **START, dt=0.1, method="rk4", n_steps=60).q
-    assert (fa.resume(FREE, file, n_steps=20).q == end).all()
-    assert (fa.resume(FREE, whole, t_end=6.0).q == end).all()

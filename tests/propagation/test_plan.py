@@ -1,7 +1,5 @@
 """Plans: what ``propagate`` gives, to the bit, of values given in any form and by any thread."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 

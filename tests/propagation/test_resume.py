@@ -1,7 +1,5 @@
 """Runs in two goes, in parts, to files, cut short: what an uninterrupted one gives, to the bit."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

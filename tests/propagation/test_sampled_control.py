@@ -1,17 +1,13 @@
 """Controllers whose torque is computed at sample times and held in between."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from exact import body_motion
+from test_states import Q0, W0, J, apart
 
 import fastatt as fa
 from fastatt.propagation.breakpoints import breaks_within
 
-J = np.array([[2.0, 0.1, -0.2], [0.1, 1.5, 0.15], [-0.2, 0.15, 1.2]])
-Q0 = np.array([0.8, 0.0, 0.6, 0.0])
-W0 = np.array([0.4, -0.3, 0.5])
 PERIOD, END = 0.25, 2.0
 GAINS = (0.8, 0.3, 1.5)
 
@@ -44,12 +40,6 @@ def truth(end, held=(0.0, 0.0, 0.0), memory=(0.0,) * 4, start=0.0):
             found, memory = pid(t, y[:4], y[4:], memory, GAINS)
             torque = np.array(found)
     return y[:4], y[4:], np.array([*torque, *memory])
-
-
-def apart(run, wanted):
-    q, w, s = wanted
-    errors = fa.angle_between(run.q[-1], q), np.abs(run.w[-1] - w).max()
-    return max(*errors, np.abs(run.s[-1] - s).max())
 
 
 WANTED = truth(END)

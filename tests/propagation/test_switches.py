@@ -56,10 +56,7 @@ def driven(g, *more, **options):
 
 def restarted(body):
     """SciPy's DOP853 with held sides, begun again at each crossing: the end, and the crossings."""
-    functions = (
-        lambda y: y[0] * y[1] + LAG * y[4],
-        lambda y: y[0] * y[2] + LAG * y[5] - 0.05,
-    )
+    functions = (lambda y: y[0] * y[1] + LAG * y[4], lambda y: y[0] * y[2] + LAG * y[5] - 0.05)
     y, t, times, push = np.r_[Q0[body], W0[body]], 0.0, ([], []), PUSH[body, 0]
     side = [np.sign(g(y)) for g in functions]
 

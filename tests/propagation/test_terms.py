@@ -1,12 +1,12 @@
 """Terms of a torque that read each other, beside loops with SciPy's DOP853."""
 
-from __future__ import annotations
-
+import itertools
 import math
 import pickle
 
 import numpy as np
 import pytest
+from each import in_tiers
 from exact import body_motion
 
 import fastatt as fa
@@ -126,9 +126,13 @@ def follow(t, q, w, target, p):
     return [-p[0] * sign * x - p[1] * v for x, v in zip(e[1:], w, strict=True)]
 
 
-@pytest.mark.parametrize("first", ["guidance", "control"])
-@pytest.mark.parametrize("delay", [0, 2])
-@pytest.mark.parametrize("is_model", [False, True])
+OFTEN = [("guidance", 0, False), ("guidance", 2, True), ("control", 0, True)]
+
+
+@pytest.mark.parametrize(
+    ("first", "delay", "is_model"),
+    in_tiers(OFTEN, itertools.product(("guidance", "control"), (0, 2), (False, True))),
+)
 def test_control_follows_slower_guidance(first, delay, is_model):
     """A controller reads what one before it computes now, and what a later one held."""
     guidance, gains = T.SampledControl(guide, 2.0, params=(0.02,), holds=4), (4.0, 12.0)
@@ -267,10 +271,10 @@ def test_terms_of_bodies_and_of_turned_axes(n):
         assert scene[[4, 1]].torque.names == ("wheels", "drag")
 
 
-@pytest.mark.parametrize("options", [
+@pytest.mark.parametrize("options", in_tiers([{"representation": "mrp"}, {"dtype": "float32"}], [
     {"representation": "dcm"}, {"representation": "mrp"}, {"representation": "euler313"},
     {"dtype": "float32"}, {"compensated": True}, {"method": "rk4"}, {"method": "gbs16"},
-])  # fmt: skip
+]))  # fmt: skip
 def test_every_way_of_a_run_reads(options):
     scene, wheels = unloading()
     how = {"s0": wheels.momenta([10.0, -7.0, 5.0], W0), "dt": 0.02, "t_end": 2.0}

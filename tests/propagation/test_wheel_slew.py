@@ -1,9 +1,8 @@
 """A slew by wheels, with PID control, friction, a pulse and events, beside SciPy's DOP853."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from each import slow
 from wheels import errors, slew_of, truth
 
 import fastatt as fa
@@ -14,7 +13,7 @@ import fastatt as fa
 @pytest.mark.parametrize(
     ("is_sampled", "bodies", "bounds"),
     [
-        (False, 10, {0.25: (1e-7, 5e-6, 5e-3), 0.05: (5e-9, 2e-7, 2e-4)}),
+        slow(False, 10, {0.25: (1e-7, 5e-6, 5e-3), 0.05: (5e-9, 2e-7, 2e-4)}),
         (True, 5, {0.25: (1e-12, 1e-11, 1e-8), 0.07: (1e-12, 1e-11, 1e-11)}),
     ],
     ids=["at all times", "sampled"],

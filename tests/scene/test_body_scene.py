@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from each import often
+from each import in_tiers
 from exact import EPS, LENGTHY, START, angle, exp, mul
 
 import fastatt as fa
@@ -74,7 +74,7 @@ EVERY = [
 # one of each kind of steps: stages, turns, an implicit equation
 OFTEN = ("rk8", "strang2", "kahan_li8", "dmv10")
 every_method = pytest.mark.parametrize(
-    ("kind", "method"), often(lambda kind, method: method in OFTEN, EVERY)
+    ("kind", "method"), in_tiers([x for x in EVERY if x[1] in OFTEN], EVERY)
 )
 
 

@@ -1,7 +1,5 @@
 """Random testers: cases that nobody wrote down, other ones each day (``make fuzz MINUTES=30``)."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from each import often
+from each import in_tiers
 from scipy import interpolate
 
 import fastatt as fa
@@ -275,7 +275,7 @@ COMMANDS = [(("samples", "free"),), (("coning",),), (("top",),), (("torqued",),)
 
 
 @pytest.mark.parametrize("verbose", [False, pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("scenes", often(lambda scenes: "samples" in scenes, COMMANDS))
+@pytest.mark.parametrize("scenes", in_tiers(COMMANDS[:1], COMMANDS))
 def test_command(tmp_path, capsys, scenes, verbose):
     methods = {(scene, method) for scene in scenes for method in METHODS[scene]}
     arguments = [f"--scene={scene}" for scene in scenes] + ["--verbose"] * verbose
