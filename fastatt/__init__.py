@@ -38,7 +38,7 @@ _MODULES = {
     "Trajectory": "fastatt.propagation.trajectory",
     "Status": "fastatt.engine.status",
     "StepWarning": "fastatt.rounding",
-    "drift": "fastatt.propagation.drift",
+    "drift": "fastatt.invariants.drift",
     "interpolate": "fastatt.propagation.interpolation",
     "closed_form": "fastatt",
     "estimation": "fastatt",
@@ -70,8 +70,8 @@ _MODULES = {
     "rotation_vector_to_quat": "fastatt.arrays",
     "quat_to_euler": "fastatt.interchange.euler",
     "euler_to_quat": "fastatt.interchange.euler",
-    "kinetic_energy": "fastatt.propagation.energy",
-    "angular_momentum": "fastatt.propagation.energy",
+    "kinetic_energy": "fastatt.invariants.energy",
+    "angular_momentum": "fastatt.invariants.energy",
 }
 __all__ = list(_MODULES)
 

@@ -23,15 +23,15 @@ from fastatt.gyro.log import GyroLogError
 from fastatt.gyro.read import read_gyro_log
 from fastatt.gyro.streaming import GyroIntegrator
 from fastatt.interchange.euler import euler_to_quat, quat_to_euler
+from fastatt.invariants.drift import drift
+from fastatt.invariants.energy import (
+    angular_momentum,
+    kinetic_energy,
+)
 from fastatt.methods import METHODS
 from fastatt.methods.lie_group import lie_group
 from fastatt.methods.runge_kutta import runge_kutta
 from fastatt.propagation.directions import propagate_directions
-from fastatt.propagation.drift import drift
-from fastatt.propagation.energy import (
-    angular_momentum,
-    kinetic_energy,
-)
 from fastatt.propagation.event import event
 from fastatt.propagation.inspect_step import inspect_step
 from fastatt.propagation.interpolation import interpolate

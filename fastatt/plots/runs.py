@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -13,11 +13,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fastatt.arrays import angle_between, quat_rotate
+from fastatt.invariants.drift import drift
+from fastatt.invariants.energy import angular_momentum
 from fastatt.plots.drawing import COLOURS, check_run, curve_on, save, sphere_on
-from fastatt.propagation.drift import drift
-from fastatt.propagation.energy import angular_momentum
-from fastatt.propagation.trajectory import Trajectory
 from fastatt.scene.scene import Scene, as_scene
+
+if TYPE_CHECKING:
+    from fastatt.propagation.trajectory import Trajectory
 
 # saves of an ensemble that are drawn
 _SAVES = 500

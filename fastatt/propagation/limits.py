@@ -14,7 +14,6 @@ from fastatt._cached import cached_property
 from fastatt.attitudes import Attitude
 from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods.method import TORQUED, Method
-from fastatt.propagation.energy import angular_momentum
 from fastatt.propagation.initial import Initial
 from fastatt.scene.models import Packed
 from fastatt.scene.scene import Scene
@@ -147,6 +146,8 @@ def warn_of_status(status: NDArray[FLAGS], *, is_warned: bool) -> None:
 
 def first_step(scene: Scene, method: Method, w: NDArray[Any], h: Any) -> NDArray[np.float64]:
     """The angle that the method limits, rad, in each body's first step; w is (N, 3)."""
+    from fastatt.invariants.energy import angular_momentum
+
     rates = w.astype(np.float64, copy=False)
     with np.errstate(over="ignore", invalid="ignore"):
         angle = _lengths(rates) * abs(h)

@@ -21,8 +21,8 @@ from fastatt.arrays import angle_between
 from fastatt.codegen.processor import processor
 from fastatt.engine.status import Status
 from fastatt.files import write_csv
+from fastatt.invariants.drift import drift
 from fastatt.methods import METHODS, Method
-from fastatt.propagation.drift import drift
 from fastatt.propagation.ensemble import Ensemble
 from fastatt.propagation.propagate import propagate
 from fastatt.propagation.trajectory import Trajectory

@@ -11,7 +11,7 @@ import rigid_oracle as ro
 
 import fastatt as fa
 from fastatt import closed_form
-from fastatt.propagation.energy import potential_energy
+from fastatt.invariants.energy import potential_energy
 
 UP, DOWN = (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0)
 SOME = (0.6, 0.5, -0.4, 0.48)

@@ -6,7 +6,7 @@ from exact import EPS, START
 from numba import njit
 
 import fastatt as fa
-from fastatt.propagation.energy import potential_energy
+from fastatt.invariants.energy import potential_energy
 
 N = 5
 RNG = np.random.default_rng(11)

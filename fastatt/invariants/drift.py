@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fastatt import checks
 from fastatt.arrays import angle_between, quat_rotate
 from fastatt.attitudes.attitude import same
-from fastatt.propagation.energy import angular_momentum, kinetic_energy, potential_energy
-from fastatt.propagation.trajectory import Trajectory
+from fastatt.interchange.run_tables import check_run
+from fastatt.invariants.energy import angular_momentum, kinetic_energy, potential_energy
 from fastatt.scene.reaction_wheels import ReactionWheels
 from fastatt.scene.scene import Scene, as_scene
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Torque, lever_of
+
+if TYPE_CHECKING:
+    from fastatt.propagation.trajectory import Trajectory
 
 # why quantities are not conserved
 _REASONS = {
@@ -132,8 +134,7 @@ def drift(run: Trajectory, scene: Scene) -> Drift:
       momentum              ...
       momentum_along_field  None, no uniform field acts
     """
-    if not isinstance(run, Trajectory):
-        raise TypeError(f"run: found {checks.brief(run)}; accepted: a Trajectory")
+    check_run(run)
     as_scene(scene)
     if len(run.t) < 2:
         raise ValueError(
