@@ -47,6 +47,14 @@ class Format(NamedTuple):
         return "rad" if self.values == "increments" else "rad/s"
 
 
+class Sensor(NamedTuple):
+    """Columns x, y, z of a sensor, [] for none, the unit of its numbers, and what is said of it."""
+
+    columns: list[int]
+    scale: float = 1.0
+    said: str = ""
+
+
 FORMATS = (
     # PX4, sensor_combined: uORB's time stamps are microseconds
     # and the rates are means over the interval before (its message definition)
@@ -162,12 +170,12 @@ def listed(names: Iterable[str]) -> str:
 
 def triples(names: Sequence[str], sensor: str) -> list[list[int]]:
     """Columns x, y, z of every sensor of a kind, such as "gyro"."""
-    found: dict[str, list[tuple[str, int]]] = {}
+    sensors: dict[str, list[tuple[str, int]]] = {}
     for i, name in enumerate(names):
         stem, axis, whole = _stem(name)
         if axis and re.fullmatch(_SENSORS[sensor], stem):
-            found.setdefault(whole, []).append((axis, i))
-    sets = [sorted(axes) for axes in found.values()]
+            sensors.setdefault(whole, []).append((axis, i))
+    sets = [sorted(axes) for axes in sensors.values()]
     return [[i for _, i in axes] for axes in sets if "".join(a for a, _ in axes) in ("xyz", "012")]
 
 
@@ -206,20 +214,15 @@ def gyro(names: Sequence[str], file: str) -> list[int] | None:
     """
     unnamed = triples(names, "unnamed")[:1]
     defined = [axes for axes in unnamed if format_of(names, [names[i] for i in axes], file)]
-    found = triples(names, "gyro") or defined
-    if len(found) > 1:
-        first = listed(names[i] for axes in found for i in axes)
+    gyros = triples(names, "gyro") or defined
+    if len(gyros) > 1:
+        first = listed(names[i] for axes in gyros for i in axes)
         raise GyroLogError(f"found more than one gyro ({first}); say which with columns")
-    return found[0] if found else None
+    return gyros[0] if gyros else None
 
 
-def other_sensor(
-    names: Sequence[str], sensor: str, known: Format | None
-) -> tuple[list[int], float, str]:
-    """Columns of the "accel" or "mag" whose names and unit say so, [] for none; and their unit.
-
-    The unit of an accelerometer is in m/s², that of a magnetometer is 1. Last is what was found.
-    """
+def other_sensor(names: Sequence[str], sensor: str, known: Format | None) -> Sensor:
+    """The "accel", in m/s², or "mag", whose names and unit say so."""
     named, word = triples(names, sensor), _WORDS[sensor]
     if known and sensor == "accel":
         named += [x for x in triples(names, "like accel") if re.fullmatch(known.accel, names[x[0]])]
@@ -227,11 +230,11 @@ def other_sensor(
     fit = [(axes, unit) for axes, unit in zip(named, units, strict=True) if unit]
     if len(fit) == 1:
         axes, unit = fit[0]
-        scale = ACCEL_UNITS[unit] if sensor == "accel" else 1.0
-        return axes, scale, f"{word} in {unit}: {names[axes[0]]} ..."
+        said = f"{word} in {unit}: {names[axes[0]]} ..."
+        return Sensor(axes, ACCEL_UNITS[unit] if sensor == "accel" else 1.0, said)
     why = "one of several" if fit else "without a unit" if named else "of another quantity"
     like = named or triples(names, f"like {sensor}")
-    return [], 1.0, f"no {word}: {names[like[0][0]][:60]} ... is {why}" if like else ""
+    return Sensor([], said=f"no {word}: {names[like[0][0]][:60]} ... is {why}" if like else "")
 
 
 def unit_of_other(sensor: str, name: str, known: Format | None) -> str | None:

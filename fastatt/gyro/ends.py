@@ -20,20 +20,22 @@ def beyond(
 
     They are those of the polynomial of the nearest whole window, or of all samples.
     """
-    n = data.shape[1]
+    before = after = data[:, :0]
+    if not (window.history or missing):
+        return before, after
+    n, uneven = data.shape[1], isinstance(spans, np.ndarray)
     near = min(window.samples(increments), n)
     inside = near - (not increments)
-    uneven = isinstance(spans, np.ndarray)
-    before = after = data[:, :0]
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # samples that are not finite are refused after the run
+    # samples that are not finite are refused after the run
+    with np.errstate(over="ignore", invalid="ignore"):
         if window.history:
             gaps = spans[:inside][::-1] if uneven else inside
-            before = _table(gaps, window.history, increments)[::-1, ::-1] @ data[:, :near]
+            table = _table(gaps, window.history, increments)[::-1, ::-1]
+            before = (table @ data[:, :near]).astype(data.dtype, "C")
         if missing:
             gaps = spans[len(spans) - inside :] if uneven else inside
-            after = _table(gaps, missing, increments) @ data[:, n - near :]
+            table = _table(gaps, missing, increments)
+            after = (table @ data[:, n - near :]).astype(data.dtype, "C")
     return before, after
 
 
@@ -53,10 +55,10 @@ def _equal(count: int, n: int, increments: bool) -> Array:
     return _table(np.ones(count), n, increments)
 
 
-def _interpolation(nodes: Array, at: Array, increments: bool) -> Array:
+def _interpolation(nodes: Array, times: Array, increments: bool) -> Array:
     """Table from samples at nodes to those at other times, or from increments to increments."""
     same = np.eye(len(nodes), dtype=bool)
-    ratios = (at[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
+    ratios = (times[:, None, None] - nodes) / np.where(same, 1.0, nodes[:, None] - nodes)
     lagrange: Array = np.where(same, 1.0, ratios).prod(axis=-1)
     if not increments:
         return lagrange
@@ -80,9 +82,9 @@ def rest(
     parts = window.span // count + (np.arange(count) < window.span % count)
     fine = np.repeat(gaps[-count:] / parts, parts)
     nodes = np.concatenate([[0.0], np.cumsum(gaps)])
-    at = nodes[-1 - count] + np.concatenate([[0.0], np.cumsum(fine)])
+    times = nodes[-1 - count] + np.concatenate([[0.0], np.cumsum(fine)])
     with np.errstate(over="ignore", invalid="ignore"):  # checked in the result
-        table = _interpolation(nodes, at, increments)
+        table = _interpolation(nodes, times, increments)
         values = table @ np.array(data[:, data.shape[1] - near :], dtype=np.float64, order="C")
         samples = values.astype(data.dtype)
     apart = fine.astype(data.dtype)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,8 @@ _HUGE = 1e9
 
 
 def integrate_rates(
-    rates: ArrayLike | GyroLog,
-    dt: ArrayLike | None = None,
+    rates: ArrayLike | GyroLog | Sequence[Any],
+    dt: ArrayLike | Sequence[Any] | None = None,
     q0: ArrayLike = _UNTURNED,
     *,
     method: str = "previous",
@@ -33,18 +35,20 @@ def integrate_rates(
     n_threads: int | None = None,
     max_gap: float | None = None,
     out: NDArray[Any] | None = None,
-) -> NDArray[Any]:
+) -> Any:
     """Integrate body rates sampled at given times, or angle increments, to attitudes.
 
     Parameters
     ----------
-    rates : array_like of shape (n, 3) or (N, n, 3), or GyroLog
+    rates : array_like of shape (n, 3) or (N, n, 3), GyroLog, or list of N of these
         Rates along body axes, rad/s, at n times; with n intervals, mean rates over these; with
         ``increments``, angle increments, rad. A log has its intervals and says what its numbers
-        are.
+        are. Logs of unequal lengths are a list.
     dt : float or array_like
         The interval, s, or the intervals: (n - 1,) for rates at n times, (n,) for mean rates and
-        for increments. All are above 0. None for a log.
+        for increments; (N, n - 1) or (N, n) if N logs have intervals of their own; a number, or a
+        list of the interval or intervals of each, for logs of unequal lengths. All are above 0.
+        None for a log.
     q0 : array_like of shape (4,) or (N, 4), default (1, 0, 0, 0)
         Attitude at the first time, body to inertial, scalar first.
     method : str, default "previous"
@@ -54,8 +58,8 @@ def integrate_rates(
     dtype : {float64, float32}, optional
         Precision; the default is float32 if ``rates`` is a float32 array, and float64 otherwise.
     n_threads : int, optional
-        Number of threads for many logs; the default is every processor. Results do not depend on
-        it.
+        Number of threads for many logs of the same intervals; the default is every processor.
+        Results do not depend on it.
     max_gap : float, optional
         The longest interval that is accepted, s; the default is 10 times the median.
     out : ndarray, optional
@@ -65,7 +69,7 @@ def integrate_rates(
     -------
     ndarray of shape (n, 4) or (N, n, 4)
         Attitudes at the times of the samples; for n means or increments (n + 1, 4) or (N, n + 1,
-        4).
+        4). A list of N such arrays (n, 4) for logs of unequal lengths.
 
     Raises
     ------
@@ -102,6 +106,17 @@ def integrate_rates(
     >>> q.shape, q[-1].round(6).tolist()
     ((101, 4), [0.968912, 0.0, 0.0, 0.247404])
     """
+    if _are_separate(rates, dt):
+        options = {"method": method, "increments": increments, "dtype": dtype, "max_gap": max_gap}
+        return _of_each(rates, dt, q0, out, n_threads=n_threads, **options)
+    return _integrated(rates, dt, q0, out, method, increments, dtype, max_gap, n_threads)
+
+
+def _integrated(
+    rates: Any, dt: Any, q0: Any, out: Any, method: str, increments: bool, dtype: Any,
+    max_gap: float | None, n_threads: int | None = 1, log: int = 0,
+) -> NDArray[Any]:  # fmt: skip
+    """Attitudes of logs with the same intervals; ``log`` is the number of the first."""
     values, dt = of_log(rates, dt, increments)
     means = not increments and are_means(values, dt)
     increments = increments or means
@@ -109,7 +124,8 @@ def integrate_rates(
     name = "rates (increments)" if increments and not means else "rates"
     data = checks.array(name, values, "(n, 3) or (N, n, 3)", flag=True)
     one = data.ndim == 2
-    precision = checks.precision(dtype, values)
+    is_set = dtype is None and type(values) is np.ndarray
+    precision = data.dtype if is_set else checks.precision(dtype, values)
     data = np.ascontiguousarray(data if not one else data[None], dtype=precision)
     n_logs, n = data.shape[:2]
     count = n if increments else n - 1
@@ -130,8 +146,53 @@ def integrate_rates(
     if not (checks.all_finite(out[:, -1], data[:, -1]) and is_finite(seen, out)):
         checks.finite(name, data[0] if one else data)
         raise overflow(name, precision)
-    warn_of_turns(seen, samples)
+    warn_of_turns(seen, samples, log=log)
     return result
+
+
+def _are_separate(rates: Any, dt: Any) -> bool:
+    """Whether logs have intervals of their own, or are a list, but for arrays of one length."""
+    with suppress(ValueError, TypeError):  # of what is no array, which is refused later
+        if isinstance(rates, (list, tuple)) and len(rates):
+            if isinstance(rates[0], GyroLog):
+                return True
+            if np.ndim(rates[0]) == 2 and len({len(x) for x in rates}) > 1:
+                return True
+        if not (dt is None or isinstance(dt, float)) and np.ndim(dt) == 2:
+            return np.ndim(rates) == 3
+    return False
+
+
+def _of_each(
+    rates: Any, dt: Any, q0: Any, out: Any, **options: Any
+) -> NDArray[Any] | list[NDArray[Any]]:
+    """Attitudes of logs with intervals or lengths of their own, the same as of each alone."""
+    start = checks.attitudes("q0", q0)
+    starts = start if start.ndim > 1 else [start] * len(rates)
+    spans = dt if isinstance(dt, (list, tuple)) or np.ndim(dt) else [dt] * len(rates)
+    _check_count("q0", starts, len(rates), "(4,)")
+    _check_count("dt", spans, len(rates), "a number")
+    attitudes = []
+    for k, (log, h, q) in enumerate(zip(rates, spans, starts, strict=True)):
+        try:
+            attitudes.append(_integrated(log, h, q, None, log=k, **options))
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"log {k}: {error}") from None
+    if isinstance(rates[0], GyroLog) or len({q.shape for q in attitudes}) > 1:
+        if out is not None:
+            raise TypeError("out: found an array; accepted: None, for a list of logs")
+        return attitudes
+    stacked = np.stack(attitudes)
+    result = stacked if out is None else _output(out, stacked.shape, stacked.dtype)
+    result[:] = stacked
+    return result
+
+
+def _check_count(name: str, values: Any, n_logs: int, one: str) -> None:
+    if len(values) != n_logs:
+        raise ValueError(
+            f"{name}: found {len(values)} of them; accepted: {one}, or {n_logs}, one a log"
+        )
 
 
 def of_log(rates: Any, dt: Any, increments: bool) -> tuple[Any, Any]:
@@ -151,7 +212,7 @@ def of_log(rates: Any, dt: Any, increments: bool) -> tuple[Any, Any]:
 
 def are_means(rates: Any, dt: Any) -> bool:
     """Whether there is an interval for each of the rates, which are then means over them."""
-    if dt is None:
+    if dt is None or isinstance(dt, float):
         return False
     spans = checks.numbers("dt", dt, "a number or (n,)")
     values = checks.numbers("rates", rates, "(n, 3) or (N, n, 3)")
@@ -160,14 +221,15 @@ def are_means(rates: Any, dt: Any) -> bool:
 
 def unit_quaternions(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Quaternions (4,) or (N, 4) of any norm above zero, normalised and without −0."""
-    q = checks.attitudes(name, value).astype(np.float64)
+    q = checks.attitudes(name, value)
     if q.ndim > 1:
-        return normalised(q) + 0.0
+        return normalised(q.astype(np.float64)) + 0.0
     # numbers take less time than short arrays
-    largest = max(map(abs, q.tolist()))
-    a, b, c, d = (x / largest for x in q.tolist())
+    a, b, c, d = q.tolist()
+    largest = max(abs(a), abs(b), abs(c), abs(d))
+    a, b, c, d = a / largest, b / largest, c / largest, d / largest
     length = math.sqrt(a * a + b * b + c * c + d * d)
-    return np.array([x / length + 0.0 for x in (a, b, c, d)])
+    return np.array([a / length + 0.0, b / length + 0.0, c / length + 0.0, d / length + 0.0])
 
 
 def is_finite(seen: float, out: NDArray[Any]) -> bool:
@@ -180,11 +242,11 @@ def overflow(name: str, precision: np.dtype[Any]) -> ValueError:
     return ValueError(f"{name}: the angles overflow {precision}; accepted: smaller rates")
 
 
-def warn_of_turns(seen: float, samples: Samples, *, first: int = 0) -> None:
+def warn_of_turns(seen: float, samples: Samples, *, first: int = 0, log: int = 0) -> None:
     """Warn of an interval whose rotation angle exceeds the method's limit.
 
     ``seen`` is the largest component of an angle, over these samples or more; ``first`` is the
-    index of the first interval in the message.
+    index of the first interval in the message, ``log`` that of the first log.
     """
     method, increments, data, spans, _ = samples
     limit = method.limits["increments" if increments else "rates"]
@@ -195,12 +257,13 @@ def warn_of_turns(seen: float, samples: Samples, *, first: int = 0) -> None:
         angle = np.sqrt((data * data) @ np.ones(3, dtype=data.dtype))
         if not increments:  # of an interval, with the faster rate at its ends
             angle = np.maximum(angle[:, :-1], angle[:, 1:]) * spans
-    log, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
-    most = float(angle[log, k])
+    row, k = np.unravel_index(int(np.nanargmax(angle)), angle.shape)
+    most = float(angle[row, k])
     if most > limit:
         rounding.warn(
-            f"dt: interval {first + k} of log {log} rotates by {most:.3g} rad, {method.name}'s "
-            f"limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} are past it): "
+            f"dt: interval {first + k} of log {log + row} rotates by {most:.3g} rad, "
+            f"{method.name}'s limit is {limit:.3g} ({int((angle > limit).sum())} of {angle.size} "
+            "are past it): "
             # with two digits, rounded up by what rounding may take off
             f"sample at least {max(1.1, 1.05 * most / limit):.2g} times as often"
         )

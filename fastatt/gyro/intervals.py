@@ -76,7 +76,7 @@ def largest_gap(max_gap: float | None) -> float:
 
 def tell_of_stamps(spans: Any) -> None:
     """Warn of intervals that only grow, as time stamps do."""
-    if np.ndim(spans) and len(spans) > 3 and bool((np.diff(spans) > 0.0).all()):
+    if isinstance(spans, np.ndarray) and len(spans) > 3 and bool((np.diff(spans) > 0.0).all()):
         rounding.warn(
             f"dt: {len(spans)} intervals only grow, from {spans[0]:.6g} to {spans[-1]:.6g} s, as "
             "time stamps do; accepted: intervals, such as np.diff(t)"
@@ -93,8 +93,8 @@ def intervals(dt: ArrayLike, count: int, max_gap: float | None, precision: np.dt
     if spans.ndim == 0:
         interval = checks.above_zero("dt", spans, "an interval above 0")
         if interval > longest:
-            found, most = apart(interval, longest)
-            raise ValueError(f"dt: found {found}; accepted: at most {most} s, max_gap")
+            length, most = apart(interval, longest)
+            raise ValueError(f"dt: found {length}; accepted: at most {most} s, max_gap")
         return precision.type(interval)
     if not count:
         return spans.astype(precision)

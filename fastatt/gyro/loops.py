@@ -36,7 +36,7 @@ class WindowShape(NamedTuple):
 
     ``extra`` is 1 for rates, which have one sample more than intervals; ``is_uneven`` says whether
     intervals differ. ``near`` is the angle over an interval, rad, below which rotations are at most
-    π.
+    π. A function works on ``lanes`` at a time.
     """
 
     history: int
@@ -44,6 +44,7 @@ class WindowShape(NamedTuple):
     extra: int
     is_uneven: int
     near: float
+    lanes: int
 
 
 class Logs(NamedTuple):
@@ -89,27 +90,21 @@ class Tile(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """The intervals [first, end) of a log, and whether they complete a chunk.
-
-    A lane that is not ``used`` repeats another one.
-    """
+    """The intervals [first, end) of a log, and whether they complete a chunk."""
 
     log: int
     first: int
     end: int
     is_whole: bool
-    used: bool
 
 
 @loop_part
-def lane_of(part, n_logs, log, chunk, j):
+def lane_of(part, log, chunk, j):
     """The lane number j of a tile that begins with a chunk of a log."""
     log, chunk = log + j * part.by_log, chunk + j * (1 - part.by_log)
-    used = log < n_logs and chunk < part.n_chunks
-    log, chunk = min(log, n_logs - 1), min(chunk, part.n_chunks - 1)
     end = (chunk + 1) * CHUNK - part.done
     first, is_whole = max(end - CHUNK, 0), end <= part.n_intervals
-    return Lane(log, first, min(end, part.n_intervals), is_whole, used)
+    return Lane(log, first, min(end, part.n_intervals), is_whole)
 
 
 @loop_part
@@ -126,10 +121,11 @@ def copied(source, to, j, largest):
 
 
 @loop_part
-def load(shape, logs, tile, lane, j, count):
-    """Copy what windows over ``count`` intervals need; returns their largest angle."""
+def load(shape, logs, tile, lane, j):
+    """Copy what the windows of a lane need; returns their largest angle."""
     n, since = logs.samples.shape[1] - logs.lead, lane.first - shape.history
-    n_intervals = shape.history + count
+    n_windows = (lane.end - lane.first + shape.span - 1) // shape.span
+    n_intervals = shape.history + n_windows * shape.span
     n_samples = n_intervals + shape.extra
     # samples [begin, end) are those of the log
     begin = min(max(-logs.lead - since, 0), n_samples)
@@ -138,25 +134,23 @@ def load(shape, logs, tile, lane, j, count):
     before = logs.before[lane.log, logs.lead + lane.first :]
     largest = copied(before[:begin], tile.samples, j, logs.samples.dtype.type(0.0))
     largest = copied(known, tile.samples[begin:], j, largest)
-    for i in range(end, n_samples):
-        beyond = min(since + i - n, logs.after.shape[1] - 1)
-        after = logs.after[lane.log, beyond : beyond + 1]
-        largest = copied(after, tile.samples[i:], j, largest)
+    after = logs.after[lane.log, : n_samples - end]
+    largest = copied(after, tile.samples[end:], j, largest)
     tile.intervals[0, j] = longest = logs.interval
     if shape.is_uneven != 0:
         for i in range(n_intervals):
-            at = min(max(since + i, -logs.lead), logs.intervals.shape[0] - logs.lead - 1)
-            tile.intervals[i, j] = logs.intervals[logs.lead + at]
-            longest = max(longest, float(logs.intervals[logs.lead + at]))
+            nearest = min(max(logs.lead + since + i, 0), logs.intervals.shape[0] - 1)
+            tile.intervals[i, j] = logs.intervals[nearest]
+            longest = max(longest, float(logs.intervals[nearest]))
     return float(largest) * (longest if shape.extra != 0 else 1.0)
 
 
 @loop_part
-def run(function, action, tile, first, last):
-    """Call a part of a program on the memory of a tile."""
+def run(function, action, tile, lanes, first, last):
+    """Call a part of a program on the memory of a tile's first lanes."""
     samples, intervals = tile.samples.ctypes.data, tile.intervals.ctypes.data
     attitudes, state = tile.attitudes.ctypes.data, tile.state.ctypes.data
-    call(function, action, (samples, intervals, attitudes, state), (first, last))
+    call(function, action, (samples, intervals, attitudes, state), (lanes, first, last))
 
 
 @loop_part
@@ -197,16 +191,17 @@ def integrate_tiles(shape, logs, part, tile, largest, first, last):
         log, chunk = number // per_log, number % per_log
         if part.by_log != 0:
             log *= LANES
+            used = min(n_logs - log, LANES)
         else:
             chunk *= LANES
+            used = min(part.n_chunks - chunk, LANES)
+        # what other lanes, and rows beyond the end of a log, hold is computed and not stored
+        lanes = (used + shape.lanes - 1) // shape.lanes * shape.lanes
         longest, angle = 0, 0.0
-        for j in range(LANES):
-            lane = lane_of(part, n_logs, log, chunk, j)
+        for j in range(used):
+            lane = lane_of(part, log, chunk, j)
             longest = max(longest, lane.end - lane.first)
-        windows = (longest + shape.span - 1) // shape.span
-        for j in range(LANES):
-            lane = lane_of(part, n_logs, log, chunk, j)
-            angle = max(angle, load(shape, logs, tile, lane, j, windows * shape.span))
+            angle = max(angle, load(shape, logs, tile, lane, j))
             for k in range(4):
                 unturned = 1.0 if k == 0 else 0.0
                 tile.attitudes[0, k, j] = logs.q[lane.log, 4 + k] if lane.first == 0 else unturned
@@ -214,16 +209,13 @@ def integrate_tiles(shape, logs, part, tile, largest, first, last):
         function = part.small_angle if angle < shape.near else part.any_angle
         if function == 0:
             return number
-        run(function, WINDOWS, tile, 0, windows)
-        for j in range(LANES):
-            lane = lane_of(part, n_logs, log, chunk, j)
-            if lane.used:
-                chain(tile, lane, j, logs.q[lane.log])
-        run(part.small_angle, PLACE, tile, 0, longest + 1)
-        for j in range(LANES):
-            lane = lane_of(part, n_logs, log, chunk, j)
-            if lane.used:
-                store(logs, tile, lane, j)
+        run(function, WINDOWS, tile, lanes, 0, (longest + shape.span - 1) // shape.span)
+        for j in range(used):
+            lane = lane_of(part, log, chunk, j)
+            chain(tile, lane, j, logs.q[lane.log])
+        run(part.small_angle, PLACE, tile, lanes, 0, longest + 1)
+        for j in range(used):
+            store(logs, tile, lane_of(part, log, chunk, j), j)
     return last
 
 
@@ -237,7 +229,7 @@ def loop(precision: str) -> Callable[..., int]:
 
     samples = types.Array(real, 3, "C", readonly=True)
     arguments = (
-        types.NamedTuple([n, n, n, n, number], WindowShape),
+        types.NamedTuple([n, n, n, n, number, n], WindowShape),
         types.NamedTuple([samples, of(3), of(3), of(1), of(3), of(2), n, number], Logs),
         types.NamedTuple([n] * len(Part._fields), Part),
         types.NamedTuple([of(3), of(2), of(3), of(2)], Tile),

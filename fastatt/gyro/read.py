@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from fastatt import checks
 from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
-from fastatt.gyro.columns import ANGLES, UNITS
+from fastatt.gyro.columns import ACCEL_UNITS, ANGLES, UNITS
 from fastatt.gyro.intervals import REGULAR
 from fastatt.gyro.invalid_rows import ON_BAD_ROWS, in_order
 from fastatt.gyro.log import VALUES, GyroLog, GyroLogError, GyroLogWarning
@@ -23,6 +24,10 @@ from fastatt.gyro.text import from_text
 Floats = NDArray[np.float64]
 _WRAPS = 1 << 16
 _MANY = 0.01  # share of rows; leaving out more is warned of
+_ACCEPTED = {
+    "unit": UNITS | ANGLES, "values": VALUES, "time_unit": names.TIME_UNITS,
+    "accel_unit": ACCEL_UNITS,
+}  # fmt: skip
 
 
 def read_gyro_log(
@@ -88,7 +93,6 @@ def read_gyro_log(
         end there, or angle increments over these. By default what a format defines, else samples.
         Of means and increments the first is left out, since its interval begins before the first
         stamp, unless the log has a sample rate in place of stamps.
-
     accel_columns, mag_columns : sequence of str or int, optional
         Names of the columns x, y and z of an accelerometer's specific force and of a magnetometer,
         or their numbers from 1, where their names do not say it.
@@ -106,8 +110,8 @@ def read_gyro_log(
     GyroLogError
         If a unit is unknown, or is no angle per time, there is more than one gyro or time column,
         rows are of several kinds, the stamps fit no gyro, a row is bad or an argument contradicts
-        the log. It is a ``ValueError``,
-        whose message names what was found, its line, and the argument that helps.
+        the log. It is a ``ValueError``, whose message names what was found, its line, and the
+        argument that helps.
     TypeError
         If an argument has the wrong type.
     ImportError
@@ -128,193 +132,48 @@ def read_gyro_log(
     >>> log.rates.shape, log.dt
     ((2, 3), array([0.01]))
     """
-    _check_words(on_bad_rows, unit, values, time_unit, accel_unit)
+    checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
+    words = {"unit": unit, "values": values, "time_unit": time_unit, "accel_unit": accel_unit}
+    for argument, word in words.items():
+        if word is not None:
+            checks.choice(argument, word, _ACCEPTED[argument])
     if max_gap is not None:
         max_gap = checks.above_zero("max_gap", max_gap, "a number above 0, s", finite=False)
     pairs = _pairs(rows)
     table = in_memory(source) if tabular(source) else from_text(source, pairs or [])
     try:
-        gyro = _gyro(table, columns)
-        axes = tuple(table.column(i) for i in gyro)
-        defined = names.format_of(table.names, axes, table.name)
+        gyro, defined, values = _gyro(table, columns, unit, values)
         others = _others(table, defined, accel_columns, accel_unit, mag_columns)
-        clock = [] if rate is not None else _clock(table, time_column, defined)
-        values = _values(axes, values, defined)
-        unit = names.rate_unit(axes, unit, values, defined)
+        clock = _clock(table, time_column, defined) if rate is None else stamps.Clock()
+        hertz = math.nan if clock.columns else _rate(table, rate)
+        counter = _counter(table, stamped=bool(clock.columns))
         chosen = None if pairs is None else [(table.index(c, "rows"), text) for c, text in pairs]
-        hertz = math.nan if clock else _rate(table, rate)
-        counter = _counter(table, stamped=bool(clock))
-        wanted = {"gyro": gyro, "counter": counter}
-        wanted |= {sensor: columns_of for sensor, (columns_of, *_) in others.items()}
+        sensors = {"gyro": gyro, **others, "counter": names.Sensor(counter)}
+        wanted = {name: sensor.columns for name, sensor in sensors.items()}
         numbers, raw = table.read(wanted, clock, chosen, strict=on_bad_rows == "refuse")
-        scales = ANGLES if values == "increments" else UNITS
-        if unit is None:
-            raise GyroLogError(
-                f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(scales)}"
-            )
-        count, jumps = _counted(numbers.pop("counter", None), len(numbers["gyro"]))
         with np.errstate(over="ignore"):
-            numbers["gyro"] *= scales[unit]
+            for name in numbers:
+                numbers[name] *= sensors[name].scale
+            count, jumps = _counted(numbers.pop("counter", None), len(numbers["gyro"]))
             t, start = count / hertz, 0.0
         if raw is not None:
-            name, parts, named = _clock_of(table, clock, defined)
-            t, start = stamps.times(raw, name, parts, time_unit, named)
+            t, start = clock.times(raw, time_unit)
         elif rate is not None:
             _check_rate(table, time_column, time_unit, defined, hertz)
-        clock_name = " and ".join(table.column(i) for i in clock or counter)
-        timing = f"time stamps in {clock_name}" if clock else f"{hertz:g} Hz"
+        clock_name = " and ".join(table.column(i) for i in clock.columns or counter)
         times, kept, bad = in_order(
             table, clock_name, t, numbers["gyro"], on_bad_rows, max_gap, jumps
         )
         _check(table, len(kept), bad, len(t))
-        dt = np.diff(times)
-        if not (clock or bad):
-            dt[:] = 1.0 / hertz
-        mean_rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
-        said = [
-            f"{table.name}: {len(kept)} samples at {mean_rate:.6g} Hz ({timing})",
-            f"{', '.join(axes)} in {unit}"
-            + (f", {values} over the intervals before" if values != "samples" else ""),
-            *(text for *_, text in others.values() if text),
-            *bad,
-        ]
-        start += float(t[kept[0]])
-        if values != "samples":
-            times, dt, kept = _over_intervals(times, dt, kept, 0.0 if clock or bad else 1.0 / hertz)
-        measured = {s: x if len(kept) == len(t) else x[kept] for s, x in numbers.items()}
-        for sensor in measured.keys() & others.keys():
-            measured[sensor] *= others[sensor][1]
-        if values == "increments":
-            measured["gyro"] /= dt[:, None]
-        return GyroLog(
-            t=times, dt=dt, rate=mean_rate, start=start, summary="; ".join(said), values=values,
-            rates=measured.pop("gyro"), **measured,
-        )  # fmt: skip
     except GyroLogError as error:
         raise GyroLogError(f"{table.name}: {error}") from None
-
-
-def _check_words(
-    on_bad_rows: str,
-    unit: str | None,
-    values: str | None,
-    time_unit: str | None,
-    accel_unit: str | None,
-) -> None:
-    """Refuse words that are not accepted."""
-    checks.choice("on_bad_rows", on_bad_rows, ON_BAD_ROWS)
-    for name, word, accepted in (
-        ("unit", unit, UNITS | ANGLES), ("values", values, VALUES),
-        ("time_unit", time_unit, names.TIME_UNITS),
-        ("accel_unit", accel_unit, names.ACCEL_UNITS),
-    ):  # fmt: skip
-        if word is not None:
-            checks.choice(name, word, accepted)
-
-
-def _others(
-    table: Table,
-    defined: names.Format | None,
-    accel_columns: Sequence[str] | None,
-    accel_unit: str | None,
-    mag_columns: Sequence[str] | None,
-) -> dict[str, tuple[list[int], float, str]]:
-    """Columns of the other sensors, as given or known by their names; units, and what is said."""
-    others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
-    if mag_columns is not None:
-        axes = table.chosen(mag_columns, 3, "mag_columns")
-        others["mag"] = axes, 1.0, f"magnetometer: {table.column(axes[0])[:60]} ..."
-    if accel_columns is not None:
-        axes = table.chosen(accel_columns, 3, "accel_columns")
-        name = table.column(axes[0])[:60]
-        said = names.unit_of_other("accel", name, defined)
-        if accel_unit not in (names.ACCEL_UNITS if said is None else (None, said)):
-            accepted = ", ".join(names.ACCEL_UNITS) if said is None else f"{said}, or none"
-            raise GyroLogError(f"accel_unit: found {accel_unit!r} for {name}; accepted: {accepted}")
-        unit = said or str(accel_unit)
-        others["accel"] = axes, names.ACCEL_UNITS[unit], f"accelerometer in {unit}: {name} ..."
-    elif accel_unit is not None:
-        raise GyroLogError(f"accel_unit: found {accel_unit!r}; accepted: with accel_columns alone")
-    return others
-
-
-def _values(axes: Sequence[str], values: str | None, defined: names.Format | None) -> str:
-    """What the numbers are: as given, or as a format defines, or else samples."""
-    if values and defined and values != defined.values:
-        raise GyroLogError(
-            f"values: found {values!r}; accepted: {defined.values!r}, which the format of "
-            f"{axes[0][:60]} defines, or none"
-        )
-    return values or (defined.values if defined else "samples")
-
-
-def _check_rate(
-    table: Table, time_column: Any, time_unit: str | None, defined: names.Format | None, rate: float
-) -> None:
-    """Refuse a rate that contradicts time stamps, if the table has a column of these."""
-    try:
-        clock = _clock(table, time_column, defined)
-        stamps_beside = table.stamps_in(clock)
-    except GyroLogError:  # none, or one of several: nothing contradicts the rate
-        return
-    if stamps_beside is not None:
-        name, parts, named = _clock_of(table, clock, defined)
-        stamps.check_rate(stamps_beside, name, ("ns" if parts else named, time_unit), rate)
-
-
-def _clock_of(
-    table: Table, clock: list[int], defined: names.Format | None
-) -> tuple[str, str, str | None]:
-    """The name of a clock, what it has in place of numbers, and the unit in its name."""
-    is_date = stamps.kind(table.first_row[clock[0]]) == "date"
-    parts = "parts in s and ns" if len(clock) > 1 else "dates" if is_date else ""
-    name = table.column(clock[0])
-    return name[:60], parts, names.time_unit(name, defined)
-
-
-def _over_intervals(
-    times: Floats, dt: Floats, rows: NDArray[np.int64], step: float
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """The ends of intervals that end at times, the intervals, and the rows of their numbers.
-
-    ``step`` is the interval of the first row; where it is 0, which is unknown, the row is left out.
-    """
-    if not step:
-        return times, dt, rows[1:]
-    return np.append(0.0, times + step), np.append(step, dt), rows
-
-
-def _gyro(table: Table, columns: Sequence[str] | None) -> list[int]:
-    """The gyro's columns, as given or recognised by their names."""
-    if columns is not None:
-        return table.chosen(columns, 3, "columns")
-    table.refuse_twice(names.repeated(table.names))
-    gyro = names.gyro(table.names, table.name)
-    if gyro is None:
-        raise GyroLogError(
-            f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
-            "columns (names or numbers from 1)"
-        )
-    return gyro
-
-
-def _clock(table: Table, time_column: Any, defined: names.Format | None) -> list[int]:
-    """The columns of the time stamps; none if the file states its sample rate."""
-    if time_column is not None:
-        # a name or number, or two: of seconds and of nanoseconds
-        pair = isinstance(time_column, (list, tuple)) and len(time_column) > 1
-        parts = time_column if isinstance(time_column, (list, tuple)) else [time_column]
-        clock = table.chosen(parts, 1 + pair, "time column")
-    else:
-        clock = names.clock(table.names, defined)
-    if clock and table.rates and not table.first_row[clock[0]]:
-        clock = []  # an empty column
-    if not clock and not table.rates:
-        raise GyroLogError(
-            f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
-            "a time column"
-        )
-    return clock
+    timing = f"time stamps in {clock_name}" if clock.columns else f"{hertz:g} Hz"
+    said = [gyro.said, *(sensor.said for sensor in others.values() if sensor.said), *bad]
+    step = 0.0 if clock.columns or bad else 1.0 / hertz
+    log = _log(numbers, times, kept, step, values)
+    first = f"{table.name}: {len(kept)} samples at {log.rate:.6g} Hz ({timing})"
+    start += float(t[kept[0]])
+    return replace(log, start=start, summary="; ".join([first, *said]))
 
 
 def _pairs(rows: Any) -> list[tuple[str | int, str]] | None:
@@ -328,6 +187,103 @@ def _pairs(rows: Any) -> list[tuple[str | int, str]] | None:
     except (TypeError, ValueError):
         accepted = 'a column and its text, as ("name", "IMU"), or a list of these'
         raise TypeError(f"rows: found {checks.brief(rows)}; accepted: {accepted}") from None
+
+
+def _gyro(
+    table: Table, columns: Sequence[str] | None, unit: str | None, values: str | None
+) -> tuple[names.Sensor, names.Format | None, str]:
+    """The gyro, as given or recognised, the format that defines it, and what its numbers are."""
+    triple = _gyro_columns(table, columns)
+    axes = [table.column(i) for i in triple]
+    defined = names.format_of(table.names, axes, table.name)
+    usual = defined.values if defined else "samples"
+    values = values or usual
+    if defined and values != usual:
+        raise GyroLogError(
+            f"values: found {values!r}; accepted: {usual!r}, which the format of {axes[0][:60]} "
+            "defines, or none"
+        )
+    unit = names.rate_unit(axes, unit, values, defined)
+    scales = ANGLES if values == "increments" else UNITS
+    if unit is None:
+        raise GyroLogError(
+            f"{axes[0][:60]} has no unit; accepted: unit, one of {', '.join(scales)}"
+        )
+    over = f", {values} over the intervals before" if values != "samples" else ""
+    gyro = names.Sensor(triple, scales[unit], f"{', '.join(axes)} in {unit}{over}")
+    return gyro, defined, values
+
+
+def _gyro_columns(table: Table, columns: Sequence[str] | None) -> list[int]:
+    if columns is not None:
+        return table.chosen(columns, 3, "columns")
+    for i in names.repeated(table.names):
+        raise GyroLogError(f"found the column {table.names[i][:60]!r} twice; {table.by_number()}")
+    triple = names.gyro(table.names, table.name)
+    if triple is None:
+        raise GyroLogError(
+            f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
+            "columns (names or numbers from 1)"
+        )
+    return triple
+
+
+def _others(
+    table: Table,
+    defined: names.Format | None,
+    accel_columns: Sequence[str] | None,
+    accel_unit: str | None,
+    mag_columns: Sequence[str] | None,
+) -> dict[str, names.Sensor]:
+    """The other sensors, as given or known by their names."""
+    others = {x: names.other_sensor(table.names, x, defined) for x in ("accel", "mag")}
+    if mag_columns is not None:
+        triple = table.chosen(mag_columns, 3, "mag_columns")
+        said = f"magnetometer: {table.column(triple[0])[:60]} ..."
+        others["mag"] = names.Sensor(triple, said=said)
+    if accel_columns is not None:
+        triple = table.chosen(accel_columns, 3, "accel_columns")
+        name = table.column(triple[0])[:60]
+        known = names.unit_of_other("accel", name, defined)
+        if accel_unit not in (ACCEL_UNITS if known is None else (None, known)):
+            accepted = ", ".join(ACCEL_UNITS) if known is None else f"{known}, or none"
+            raise GyroLogError(f"accel_unit: found {accel_unit!r} for {name}; accepted: {accepted}")
+        unit = known or str(accel_unit)
+        said = f"accelerometer in {unit}: {name} ..."
+        others["accel"] = names.Sensor(triple, ACCEL_UNITS[unit], said)
+    elif accel_unit is not None:
+        raise GyroLogError(f"accel_unit: found {accel_unit!r}; accepted: with accel_columns alone")
+    return others
+
+
+def _clock(table: Table, time_column: Any, defined: names.Format | None) -> stamps.Clock:
+    """The columns of the time stamps; none if the file states its sample rate."""
+    if time_column is not None:
+        # a name or number, or two: of seconds and of nanoseconds
+        parts = time_column if isinstance(time_column, (list, tuple)) else [time_column]
+        columns = table.chosen(parts, 2 if len(parts) > 1 else 1, "time column")
+    else:
+        columns = names.clock(table.names, defined)
+    cells = [table.first_row[i] for i in columns]
+    if table.rates and cells[:1] in ([], [""]):  # an empty column
+        return stamps.Clock()
+    if not columns:
+        raise GyroLogError(
+            f"found no time column and no sample rate among {table.shown()}; give a rate in Hz or "
+            "a time column"
+        )
+    name = table.column(columns[0])
+    return stamps.clock(columns, cells, name[:60], names.time_unit(name, defined))
+
+
+def _rate(table: Table, rate: float | None) -> float:
+    """The given sample rate, or the file's."""
+    if rate is not None:
+        return checks.above_zero("rate", rate, "a sample rate above 0, Hz")
+    if len(table.rates) > 1:
+        rates = " and ".join(f"{x:g}" for x in table.rates)
+        raise GyroLogError(f"found the sample rates {rates} Hz; accepted: one, or rate, to say it")
+    return table.rates[0]
 
 
 def _counter(table: Table, *, stamped: bool) -> list[int]:
@@ -351,14 +307,16 @@ def _counted(
     return np.append(0.0, np.cumsum(steps / usual)), jumps
 
 
-def _rate(table: Table, rate: float | None) -> float:
-    """The given sample rate, or the file's."""
-    if rate is not None:
-        return checks.above_zero("rate", rate, "a sample rate above 0, Hz")
-    if len(table.rates) > 1:
-        found = " and ".join(f"{x:g}" for x in table.rates)
-        raise GyroLogError(f"found the sample rates {found} Hz; accepted: one, or rate, to say it")
-    return table.rates[0]
+def _check_rate(
+    table: Table, time_column: Any, time_unit: str | None, defined: names.Format | None, rate: float
+) -> None:
+    """Refuse a rate that contradicts time stamps, if the table has a column of these."""
+    try:
+        clock = _clock(table, time_column, defined)
+    except GyroLogError:  # none, or one of several: nothing contradicts the rate
+        return
+    if clock.columns:
+        clock.check_rate(table.stamps_in(clock), time_unit, rate)
 
 
 def _check(table: Table, kept: int, bad: list[str], n: int) -> None:
@@ -372,3 +330,26 @@ def _check(table: Table, kept: int, bad: list[str], n: int) -> None:
             GyroLogWarning,
             stacklevel=3,
         )
+
+
+def _log(
+    numbers: dict[str, Floats], times: Floats, rows: NDArray[np.int64], step: float, values: str
+) -> GyroLog:
+    """The log of some rows, at ``times``; ``step`` is their interval, 0 where it is unknown.
+
+    Means and increments belong to the intervals that end at the times. The row whose interval is
+    unknown is left out.
+    """
+    dt = np.diff(times)
+    if step:
+        dt[:] = step
+    rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
+    if values != "samples":
+        rows = rows if step else rows[1:]
+    if values != "samples" and step:
+        times, dt = np.append(0.0, times + step), np.append(step, dt)
+    measured = {name: x if len(rows) == len(x) else x[rows] for name, x in numbers.items()}
+    if values == "increments":
+        measured["gyro"] /= dt[:, None]
+    accel, mag = measured.get("accel"), measured.get("mag")
+    return GyroLog(measured["gyro"], dt, times, rate, accel, mag, values=values)

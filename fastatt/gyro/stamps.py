@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +37,70 @@ def pandas() -> Any:
     return checks.optional("read_gyro_log of a text", "pandas", "fastatt[logs]")
 
 
-def kind(cell: str) -> Kind:
-    """The format of a column of time stamps, from its first cell.
+class Clock(NamedTuple):
+    """Columns of time stamps, none by default, and the format of each.
+
+    ``parts`` is what they have in place of numbers in the unit that the name says, or "".
+    """
+
+    columns: Sequence[int] = ()
+    formats: Sequence[Kind] = ()
+    name: str = ""
+    unit: str | None = None
+    parts: str = ""
+
+    def times(
+        self, stamps: NDArray[Any], time_unit: str | None
+    ) -> tuple[NDArray[np.float64], float]:
+        """Times from the first stamp, s, NaN for an invalid stamp; and the clock there, s.
+
+        Raises ``GyroLogError`` without a unit, or for one of which the sample rate is no gyro's.
+        """
+        good, unit = valid(stamps), "ns"
+        if not good.any():
+            raise GyroLogError(f"{self.name} has no time stamp")
+        if not self.parts:
+            unit = _unit_of(self.name, stamps[good], time_unit, self.unit)
+        elif time_unit is not None:
+            raise GyroLogError(
+                f"time_unit: found {time_unit!r} for {self.name}, {self.parts}; accepted: none"
+            )
+        first = stamps[np.argmax(good)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            t = np.where(good, (stamps - first) / TIME_UNITS[unit], np.nan)
+        return t, float(first) / TIME_UNITS[unit]
+
+    def check_rate(self, stamps: NDArray[Any], time_unit: str | None, rate: float) -> None:
+        """Refuse a rate, Hz, that differs from that of the stamps, in any unit if none is known."""
+        good = valid(stamps)
+        if good.sum() < 2:
+            return
+        t = np.where(good, stamps - stamps[np.argmax(good)], np.nan).astype(np.float64)
+        known = [u for u in (self.unit, time_unit) if u in TIME_UNITS]
+        scales = [TIME_UNITS[unit] for unit in known[:1]] or [*TIME_UNITS.values()]
+        if not any(_agrees(t / scale, rate) for scale in scales):
+            mean = scales[0] * (good.sum() - 1) / np.nanmax(t)
+            stamped = f"{mean:.6g} Hz on average" if known else "another rate in every unit"
+            raise GyroLogError(
+                f"rate: found {rate:g} Hz, but the stamps in {self.name} give {stamped}, or gaps; "
+                "accepted: no rate, which reads the stamps"
+            )
+
+
+def clock(columns: Sequence[int], cells: Sequence[str], name: str, unit: str | None) -> Clock:
+    """The clock of columns with these first cells.
 
     Raises ``GyroLogError`` for dates in another format.
     """
+    if len(columns) > 1:
+        return Clock(columns, ["int"] * len(columns), name, "ns", "parts in s and ns")
+    if (how := _kind(cells[0])) == "date":
+        return Clock(columns, [how], name, "ns", "dates")
+    return Clock(columns, [how], name, unit)
+
+
+def _kind(cell: str) -> Kind:
+    """The format of a column of time stamps, from its first cell."""
     for what, pattern in _OTHER_DATES.items():
         if pattern.fullmatch(cell):
             raise GyroLogError(
@@ -89,29 +148,32 @@ def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any] | None:
     return np.where(good, total + np.where(good, part, 0.0).astype(np.int64), NO_STAMP)
 
 
-def times(
-    stamps: NDArray[Any], name: str, parts: str, given: str | None, named: str | None
-) -> tuple[NDArray[np.float64], float]:
-    """Times from the first stamp, s, NaN for an invalid stamp; and the clock there, s.
-
-    Stamps are in ns if they were ``parts``, else in the unit ``given``, or that of the column.
-
-    Raises ``GyroLogError`` if there is none, or it gives a sample rate of no gyro.
-    """
-    good, unit = valid(stamps), "ns"
-    if not good.any():
-        raise GyroLogError(f"{name} has no time stamp")
-    if not parts:
-        unit = _unit_of(name, stamps[good], given, named)
-    elif given is not None:
-        raise GyroLogError(f"time_unit: found {given!r} for {name}, {parts}; accepted: none")
-    first = stamps[np.argmax(good)]
+def _unit_of(name: str, stamps: NDArray[Any], time_unit: str | None, named: str | None) -> str:
+    """The unit as given, or that of a column's name or format, which must be a gyro's."""
     with np.errstate(over="ignore", invalid="ignore"):
-        t = np.where(good, (stamps - first) / TIME_UNITS[unit], np.nan)
-    return t, float(first) / TIME_UNITS[unit]
+        gaps = np.diff((stamps - stamps[0]).astype(np.float64))
+    gaps = gaps[np.isfinite(gaps) & (gaps > 0.0)]
+    usual = float(np.median(gaps)) if gaps.size else math.nan
+    hertz = {u: scale / usual for u, scale in TIME_UNITS.items()}
+    fitting = [u for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
+    if named in fitting or (named in TIME_UNITS and not gaps.size):
+        if time_unit not in (None, named):
+            raise GyroLogError(
+                f"time_unit: found {time_unit!r}, but {name} is in {named}; accepted: {named}, or "
+                "none"
+            )
+        return str(named)
+    if time_unit is not None:
+        return time_unit
+    said = f"gives {hertz[named]:.4g} Hz" if named in TIME_UNITS else f"is in {named!r}"
+    rates = " or ".join(f"{hertz[u]:.4g} Hz in {u}" for u in fitting) or "none fits"
+    raise GyroLogError(
+        f"{name} {said if named else 'has no unit'}; accepted: the unit of time, given as "
+        f"time_unit ({rates}), or a sample rate, as rate"
+    )
 
 
-def agrees(t: NDArray[np.float64], rate: float) -> bool:
+def _agrees(t: NDArray[np.float64], rate: float) -> bool:
     """Whether times, s, are those of samples at a rate, Hz, or no times of samples at all.
 
     These repeat, as those of packets do, or go back.
@@ -124,44 +186,3 @@ def agrees(t: NDArray[np.float64], rate: float) -> bool:
     usual = max(1.0 / rate, float(np.quantile(ahead, 0.95)))
     few = (len(ahead) < 0.95 * len(steps)) * 0.04  # packets of unequal sizes, at the ends
     return bool(abs(rate * np.mean(steps) - 1.0) < 0.01 + few and ahead.max() <= GAP * usual)
-
-
-def check_rate(stamps: NDArray[Any], name: str, units: Sequence[str | None], rate: float) -> None:
-    """Refuse a rate, Hz, that differs from that of a log's stamps, in all of the units."""
-    good = valid(stamps)
-    if good.sum() < 2:
-        return
-    t = np.where(good, stamps - stamps[np.argmax(good)], np.nan).astype(np.float64)
-    known = [unit for unit in units if unit in TIME_UNITS]
-    scales = [TIME_UNITS[unit] for unit in known[:1]] or [*TIME_UNITS.values()]
-    if not any(agrees(t / scale, rate) for scale in scales):
-        mean = scales[0] * (good.sum() - 1) / np.nanmax(t)
-        found = f"{mean:.6g} Hz on average" if known else "another rate in every unit"
-        raise GyroLogError(
-            f"rate: found {rate:g} Hz, but the stamps in {name} give {found}, or "
-            "gaps; accepted: no rate, which reads the stamps"
-        )
-
-
-def _unit_of(name: str, stamps: NDArray[Any], given: str | None, named: str | None) -> str:
-    """The unit as given, or that of a column's name or format, which must be a gyro's."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        gaps = np.diff((stamps - stamps[0]).astype(np.float64))
-    gaps = gaps[np.isfinite(gaps) & (gaps > 0.0)]
-    usual = float(np.median(gaps)) if gaps.size else math.nan
-    hertz = {u: scale / usual for u, scale in TIME_UNITS.items()}
-    fitting = [u for u in TIME_UNITS if SLOWEST < hertz[u] <= FASTEST]
-    if named in fitting or (named in TIME_UNITS and not gaps.size):
-        if given not in (None, named):
-            raise GyroLogError(
-                f"time_unit: found {given!r}, but {name} is in {named}; accepted: {named}, or none"
-            )
-        return str(named)
-    if given is not None:
-        return given
-    found = f"gives {hertz[named]:.4g} Hz" if named in TIME_UNITS else f"is in {named!r}"
-    rates = " or ".join(f"{hertz[u]:.4g} Hz in {u}" for u in fitting) or "none fits"
-    raise GyroLogError(
-        f"{name} {found if named else 'has no unit'}; accepted: the unit of time, given as "
-        f"time_unit ({rates}), or a sample rate, as rate"
-    )

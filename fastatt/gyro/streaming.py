@@ -100,7 +100,7 @@ class GyroIntegrator:
         self._threads = None if n_threads is None else number_of(n_threads)
         self._closed = self._means = False
         # those of the window before, and those that were not integrated; p and r before these
-        self._kept: Samples | None = None
+        self._pending: Samples | None = None
         self._q = self._recent = np.empty(0)
         self._done = self._before = 0  # intervals integrated since the last cut, and before it
 
@@ -173,9 +173,9 @@ class GyroIntegrator:
             precision = self._precision or checks.precision(None, values)
             samples = numbers.astype(precision).reshape(n_logs, -1, 3)
             # the very first rate ends no interval
-            extra = not (self._kept or self._increments)
+            extra = not (self._pending or self._increments)
             is_mean = are_means(values, dt)
-            if is_log and self._kept and is_mean != self._means:
+            if is_log and self._pending and is_mean != self._means:
                 raise ValueError(
                     "rates: found a log of other values than those before; accepted: means after "
                     "means, samples after samples"
@@ -220,8 +220,8 @@ class GyroIntegrator:
         window, places = self._method.window, []
         for k, usual in cuts(window.uneven, spans, self._recent):
             if self._warns and spans[k] > GAP * usual:
-                pending = self._kept.n_intervals if self._kept else 0
-                index = self._before + self._done + pending + k
+                waiting = self._pending.n_intervals if self._pending else 0
+                index = self._before + self._done + waiting + k
                 rounding.warn(
                     f"dt: interval {index} of {spans[k]:.3g} s is a gap, "
                     f"{spans[k] / usual:.2g} times the median of the {RECENT} before: correct the "
@@ -242,13 +242,13 @@ class GyroIntegrator:
 
     def _taken(self, data: Array, spans: Any) -> Array:
         """The attitudes that are final after further samples, without a cut."""
-        kept, lead = self._kept, 0
-        if kept is None:
+        pending, lead = self._pending, 0
+        if pending is None:
             self._q = beginning(self._last, len(data), data.dtype)
         else:
-            data, lead = np.concatenate((kept.data, data), axis=1), kept.lead
+            data, lead = np.concatenate((pending.data, data), axis=1), pending.lead
             if self._dt is None:
-                spans = np.concatenate((kept.spans, spans), dtype=data.dtype)
+                spans = np.concatenate((pending.spans, spans), dtype=data.dtype)
         samples = Samples(self._method, self._increments, data, spans, lead)
         window = self._method.window
         count = samples.n_intervals // window.span * window.span
@@ -259,15 +259,15 @@ class GyroIntegrator:
 
     def _rest(self) -> Array:
         """The attitudes at all samples so far, at the end of a log or before a cut."""
-        if self._kept is None:
+        if self._pending is None:
             return np.empty((len(self._last), 0, 4))
-        return self._advanced(self._kept, self._kept.n_intervals)
+        return self._advanced(self._pending, self._pending.n_intervals)
 
     def _begun_anew(self) -> Array:
         """The attitudes at all samples so far; the windows begin at the last one."""
-        attitudes, kept = self._rest(), self._kept
-        if self._done and kept:
-            self._kept = kept.between(kept.lead, kept.lead)
+        attitudes, pending = self._rest(), self._pending
+        if self._done and pending:
+            self._pending = pending.between(pending.lead, pending.lead)
             self._before, self._done = self._before + self._done, 0
             self._last = normalised(self._last)
             self._q = beginning(self._last, len(self._last), self._last.dtype)
@@ -301,11 +301,11 @@ class GyroIntegrator:
         if not (checks.all_finite(out[:, -1]) and is_finite(seen, out)):
             raise overflow("rates", precision)
         warn_of_turns(seen, samples.between(lead, lead + count), first=self._before + self._done)
-        attitudes = out[:, self._kept is not None :]
+        attitudes = out[:, self._pending is not None :]
         self._done += count
         # those of a window, which the end of a log needs
         needed = min(self._done, self._method.window.intervals)
-        kept = samples.between(lead + count - needed, lead + samples.n_intervals)
-        self._kept = kept._replace(data=kept.data.copy(), lead=needed)
+        left = samples.between(lead + count - needed, lead + samples.n_intervals)
+        self._pending = left._replace(data=left.data.copy(), lead=needed)
         self._q, self._last, self._precision = q, out[:, -1].copy(), precision
         return attitudes

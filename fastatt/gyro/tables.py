@@ -55,7 +55,7 @@ class Table:
     def read(
         self,
         wanted: Mapping[str, list[int]],
-        clock: list[int],
+        clock: stamps.Clock,
         chosen: list[tuple[int, str]] | None,
         *,
         strict: bool,
@@ -74,14 +74,11 @@ class Table:
             row = f"rows: found no row with {chosen[0][1]!r}" if chosen else "found no sample"
             raise GyroLogError(f"{row}; accepted: one at least")
         self.keep = keep
-        hows = self._formats(clock)
-        times = [numbers(self.arrays[i][keep], how) for i, how in zip(clock, hows, strict=True)]
-        if len(times) > 1:
-            times[1] = np.where((times[1] < 0) | (times[1] >= 10**9), stamps.NO_STAMP, times[1])
+        times = self._cells(clock)
         stamps_of_rows = stamps.joined(times)
         if chosen != []:
-            used = {i for group in wanted.values() for i in group} | {*clock, *dict(chosen or ())}
-            self._refuse_kinds(used, keep, stamps_of_rows)
+            used = {i for group in wanted.values() for i in group}
+            self._refuse_kinds(used | {*clock.columns, *dict(chosen or ())}, keep, stamps_of_rows)
         values = {
             name: np.stack(
                 [numbers(self.arrays[i][keep], "float") for i in group], 1, dtype=np.float64
@@ -92,19 +89,20 @@ class Table:
         bad = [np.isnan(values["gyro"]), *(~stamps.valid(x)[:, None] for x in times)]
         if strict and any(x.any() for x in bad):
             row, k = np.argwhere(np.hstack(bad))[0]
-            i, how = [*wanted["gyro"], *clock][k], [*["float"] * 3, *hows][k]
+            i, how = [*wanted["gyro"], *clock.columns][k], [*["float"] * 3, *clock.formats][k]
             raise GyroLogError(self._wrong(self.places[row], i, how, self.arrays[i][keep][row]))
         return values, stamps_of_rows
 
-    def stamps_in(self, clock: list[int]) -> NDArray[Any] | None:
-        """The time stamps of the rows that were read; None for no column."""
-        cells = zip(clock, self._formats(clock), strict=True)
-        return stamps.joined([numbers(self.arrays[i][self.keep], how) for i, how in cells])
+    def stamps_in(self, clock: stamps.Clock) -> Cells:
+        """The time stamps of the rows that were read."""
+        return np.asarray(stamps.joined(self._cells(clock)))
 
-    def _formats(self, clock: list[int]) -> list[stamps.Kind]:
-        if len(clock) > 1:
-            return ["int"] * len(clock)
-        return [stamps.kind(self.first_row[i]) for i in clock]
+    def _cells(self, clock: stamps.Clock) -> list[Cells]:
+        cells = zip(clock.columns, clock.formats, strict=True)
+        times = [numbers(self.arrays[i][self.keep], how) for i, how in cells]
+        for i, part in enumerate(times[1:], 1):  # of nanoseconds
+            times[i] = np.where((part < 0) | (part >= 10**9), stamps.NO_STAMP, part)
+        return times
 
     def _wrong(self, place: int, i: int, how: str, cell: object) -> str:
         """What is wrong with a cell."""
@@ -190,14 +188,6 @@ class Table:
             f"{len(self.arrays)}"
         )
 
-    def refuse_twice(self, columns: Sequence[int]) -> None:
-        """Refuse names that several columns have."""
-        for i in columns:
-            if self.names.count(self.names[i]) > 1:
-                raise GyroLogError(
-                    f"found the column {self.names[i][:60]!r} twice; {self.by_number()}"
-                )
-
     def by_number(self) -> str:
         """What is accepted of columns that a name does not tell apart."""
         most = len(self.arrays)
@@ -205,13 +195,13 @@ class Table:
 
     def chosen(self, columns: Sequence[str], n: int, argument: str) -> list[int]:
         """The indices of n columns."""
-        given = columns if isinstance(columns, (list, tuple)) else []
-        found = [self.index(c, argument) for c in given]
-        if len(set(found)) != n or len(found) != n:
+        several = columns if isinstance(columns, (list, tuple)) else []
+        indices = [self.index(c, argument) for c in several]
+        if len(set(indices)) != n or len(indices) != n:
             raise GyroLogError(
                 f"{argument}: found {checks.brief(columns)}; accepted: {n} different columns"
             )
-        return found
+        return indices
 
 
 def in_memory(source: Any) -> Table:
@@ -220,15 +210,12 @@ def in_memory(source: Any) -> Table:
     columns: list[tuple[str, Cells]] = []
     for key, column in _columns(source):
         label = ".".join(map(str, key)) if isinstance(key, tuple) else str(key)
-        unit = getattr(column, "attrs", {}).get("units")  # of xarray
         array = _array(column)
-        if array.dtype.kind not in "mM" and isinstance(unit, str) and not names.bare(label)[1]:
-            said = f" [{unit.split(' since ')[0]}]"
-        else:
-            said = ""
+        unit = getattr(column, "attrs", {}).get("units")  # of xarray
+        is_known = array.dtype.kind in "mM" or names.bare(label)[1]
+        said = f" [{unit.split(' since ')[0]}]" if isinstance(unit, str) and not is_known else ""
         if array.ndim == 2 and array.shape[1] == 3:  # axes along the second dimension
-            axes = zip("xyz", array.T, strict=True)
-            columns += [(f"{label}.{a}{said}", x) for a, x in axes]
+            columns += [(f"{label}.{a}{said}", x) for a, x in zip("xyz", array.T, strict=True)]
         elif array.ndim == 1:
             columns.append((label + said, array))
     lengths = {len(x) for _, x in columns}
@@ -266,12 +253,12 @@ def _columns(source: Any) -> Iterator[tuple[Any, Any]]:
         yield key, source[key]
 
 
-def _array(found: Any) -> NDArray[Any]:
+def _array(column: Any) -> NDArray[Any]:
     """An array without a mask: masked values become NaN."""
-    array = np.asarray(found)
-    if np.ma.is_masked(found) and array.dtype.kind in "fiumM":
+    array = np.asarray(column)
+    if np.ma.is_masked(column) and array.dtype.kind in "fiumM":
         array = array.astype(np.float64) if array.dtype.kind in "iu" else array.copy()
-        array[np.ma.getmaskarray(found)] = "NaT" if array.dtype.kind in "mM" else np.nan
+        array[np.ma.getmaskarray(column)] = "NaT" if array.dtype.kind in "mM" else np.nan
     return array
 
 

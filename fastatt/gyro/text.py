@@ -135,7 +135,7 @@ def _header(head: list[list[str]], comments: list[str], chosen: Mapping[int, str
     if names.triples(over, "gyro") and any(map(names.is_unit, last)):
         units = [unit and f" [{unit.strip('[()]')}]" for unit in last]
         return ["".join(parts) for parts in zip_longest(over, units, fillvalue="")]
-    of_comments = [found for c in comments if names.triples(found := _names(c), "gyro")]
+    of_comments = [cells for c in comments if names.triples(cells := _names(c), "gyro")]
     return last or [[], *of_comments][-1]
 
 
@@ -196,15 +196,15 @@ def _rows(
             continue
         if chosen and not _fits([cell.strip() for cell in line.split(mark)], chosen):
             continue
-        damage, found = _damage(line), line
+        damage, row = _damage(line), line
         if damage or line.count(mark) != n_columns - 1:
             parts = line.split(mark)
             if not damage and _used([cell.strip() for cell in parts]) != n_used:
                 damage = f"found {len(parts)} columns; accepted: {n_columns}, as in the first row"
             if damage:
                 wrong[place], parts = damage, []
-            found = mark.join([*parts, *[""] * n_columns][:n_columns])
-        rows[place] = found
+            row = mark.join([*parts, *[""] * n_columns][:n_columns])
+        rows[place] = row
     cleaned = io.BytesIO("\n".join(rows.values()).encode())
     return _parsed(cleaned, mark, n_columns, low_memory=False), np.array([*rows]), wrong
 

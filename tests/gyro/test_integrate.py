@@ -248,6 +248,47 @@ def test_constant_rate_is_exact_at_any_angle_with_any_intervals(method, incremen
     assert angle(q, mul(START, exp(t[:, None] * w))).max() < 61 * 12 * EPS
 
 
+@on_representatives
+def test_logs_of_their_own_intervals_and_lengths_are_single_logs(method, increments):
+    rng = np.random.default_rng(6)
+    spans = rng.uniform(0.01, 0.02, (3, 130 + increments))
+    spans[1, 40] = 0.2  # windows begin anew
+    data, start = 0.01 * rng.normal(size=(3, 131, 3)), rng.normal(size=(3, 4))
+    options = {"method": method, "increments": increments, "max_gap": 1.0}
+    for ends in (131, 131, 131), (131, 60, 7):
+        logs = data if ends[1:] == ends[:-1] else [x[:n] for x, n in zip(data, ends, strict=True)]
+        own = [h[: n - (not increments)] for h, n in zip(spans, ends, strict=True)]
+        many = fa.integrate_rates(logs, own, start, **options)
+        for q, *log in zip(many, logs, own, start, strict=True):
+            assert same(q, fa.integrate_rates(*log, **options))
+    out = np.empty((3, 131 + increments, 4))
+    assert fa.integrate_rates(data, spans, start, out=out, **options) is out
+    assert same(
+        out, np.array([*map(functools.partial(fa.integrate_rates, **options), data, spans, start)])
+    )
+
+
+def test_messages_name_the_log_of_its_own_intervals():
+    spans, pair = np.full((3, 9), 0.1), [LOG[:10], LOG[:5]]
+    spans[2, 4] = 0.0
+    for data, dt, options, message in (
+        (LOG[:30].reshape(3, 10, 3), spans, {}, r"log 2: dt\[4\] is 0.0: a repeated time stamp"),
+        (
+            LOG[:30].reshape(3, 10, 3),
+            spans[:2],
+            {},
+            "dt: found 2 of them; accepted: a number, or 3",
+        ),
+        (pair, 0.1, {"q0": np.ones((3, 4))}, r"q0: found 3 of them; accepted: \(4,\), or 2"),
+        (pair, 0.1, {"out": np.empty((10, 4))}, "out: .* accepted: None, for a list of logs"),
+        ([LOG[:10], np.nan * LOG[:5]], 0.1, {}, r"log 1: rates\[0, 0\] is nan"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=message):
+            fa.integrate_rates(data, dt, **options)
+    with pytest.warns(fa.StepWarning, match="interval 0 of log 1 rotates"):
+        fa.integrate_rates([0.01 * LOG[:10], 5.0 + 0.0 * LOG[:5]], 0.5)
+
+
 @pytest.mark.parametrize("length", [1e-200, 3.0, 1e200])
 def test_start_of_any_length(length):
     a = fa.integrate_rates(LOG[:10], 0.1, START, method="hold")
