@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +52,12 @@ class Event:
     terminal: bool = False
     reads: tuple[str, ...] = ()
     every: bool = False
+    #: what users made, with their function
+    source: Event | None = field(default=None, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what users made, whose function may not be pickled."""
+        return {**self.__dict__, "source": None}
 
 
 def groups(job: Job) -> dict[str, int]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
+from sys import getsizeof
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastatt.codegen import memory
 from fastatt.codegen.memory import DTYPES, address_of
 from fastatt.engine.machine import Bodies, tile_machine
 from fastatt.engine.program import Program
@@ -30,6 +32,32 @@ _TILES, _CALLING = 64, 1
 _EVENTS = 1024
 
 
+class Crossings(list[tuple[int, Array, Array, Array]]):
+    """The crossings so far, in parts.
+
+    A part is what is crossed (the number of an event or, after these, of a switch), bodies, times,
+    and values as those of a save.
+    """
+
+    def __init__(self, parts: Iterable[tuple[int, Array, Array, Array]] = ()) -> None:
+        super().__init__(parts)
+        self._bytes, self._checked = 0, memory.LITTLE
+
+    def keep(self, which: int, bodies: Array, times: Array, saved: Array) -> None:
+        """Keep a part; raises ``MemoryError``, with the size, before they fill the memory."""
+        self.append((which, bodies, times, saved))
+        self._bytes += sum(map(getsizeof, (bodies, times, saved)))
+        if self._bytes > self._checked:
+            # as many may follow before the next check, and all are sorted at the end
+            free, self._checked = memory.available(), 2 * self._bytes
+            if free is not None and free < self._checked:
+                raise MemoryError(
+                    f"crossings: those so far take {self._bytes / 1e9:.3g} GB, with "
+                    f"{free / 1e9:.3g} GB of memory left; accepted: fewer bodies, a shorter run, "
+                    "which resume continues, or events without every=True"
+                )
+
+
 class Results(NamedTuple):
     """The arrays that a run writes to.
 
@@ -40,9 +68,7 @@ class Results(NamedTuple):
     saves: Array
     status: NDArray[FLAGS]
     event_times: NDArray[np.float64]
-    #: what is crossed (the number of an event or, after these, of a switch), bodies, times, and
-    #: values as those of a save
-    crossings: list[tuple[int, Array, Array, Array]]
+    crossings: Crossings
 
     @classmethod
     def empty(cls, shape: tuple[int, int], dtype: Any, events: int, saves: int) -> Results:
@@ -51,7 +77,7 @@ class Results(NamedTuple):
         saved = np.empty((saves, bodies, values + 1), dtype)
         event_times = np.empty((bodies, events))
         event_times.fill(np.nan)
-        return cls(saved, np.empty(bodies, FLAGS), event_times, [])
+        return cls(saved, np.empty(bodies, FLAGS), event_times, Crossings())
 
     def of_bodies(self, rows: Any) -> Results:
         """Those of some bodies: views for a slice, copies for an array of indices."""

@@ -20,6 +20,8 @@ from fastatt.engine.tape import Action, Piece, Tape, times_of
 
 Array = NDArray[Any]
 
+#: crossings of a body that are kept of each event or switch, at most
+MOST_CROSSINGS = 1_000_000
 # steps of the shortest piece
 _LEAST = 64
 
@@ -41,6 +43,7 @@ class RunWithEvents(Run):
         self.order = sorted(range(self._events), key=lambda i: not self._job.holds[i])
         # of each event its last crossing
         self._last = np.full((n, self._events), np.nan)
+        self._crossed = np.zeros((n, self._job.watched), np.int64)
         self.until = np.full(n, -self.sign * np.inf)
         self.perform(self.steps.begun(self.t0))
         self.states[:, self._program.is_of_events] = np.nan
@@ -95,6 +98,11 @@ class RunWithEvents(Run):
         is_lost = self.states[:, self.group("lost")] == 1.0
         is_lost[:, : self._events] &= np.isnan(self.results.event_times)
         return np.asarray(is_lost & (self.results.status == 0)[:, None])
+
+    @property
+    def overfull(self) -> NDArray[np.bool_]:
+        """Of which events and switches (N, E) not all crossings are kept."""
+        return np.asarray(self._crossed > MOST_CROSSINGS)
 
     def group(self, name: str) -> slice:
         """The columns of a group of what bodies keep."""
@@ -167,10 +175,14 @@ class RunWithEvents(Run):
         return is_missed
 
     def record(self, which: int, rows: Array, times: Array, saved: Array) -> None:
-        """Keep crossings with the values that are saved then, but for those of stopped bodies."""
+        """Keep crossings with the values that are saved then, but for those of stopped bodies.
+
+        Of each body the first ones are kept.
+        """
         is_on = ~(self.sign * (times - self.stopped[rows]) > 0.0)
-        kept = self.bodies[rows][is_on], times[is_on], saved[is_on]
-        self.results.crossings.append((which, *kept))
+        self._crossed[rows, which] += 1
+        is_on &= self._crossed[rows, which] <= MOST_CROSSINGS
+        self.results.crossings.keep(which, self.bodies[rows][is_on], times[is_on], saved[is_on])
 
     def _save(self, tape: Tape) -> None:
         """Replace the saves of bodies that have stopped by their final values."""

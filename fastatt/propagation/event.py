@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fastatt import checks, rounding
 from fastatt.engine.marks import Event
+from fastatt.engine.run_with_events import MOST_CROSSINGS
 from fastatt.scene.models import Packing, names_in, parameters, readings, shown_in
 from fastatt.scene.scene import Scene
 from fastatt.tracing.signature import SIGNATURES
@@ -63,6 +64,8 @@ def event(
         tuples, one for each name, before s: ``g(t, q, w, wheels, p)``.
     every : bool, default False
         Whether all crossings are located, which ``Trajectory.crossings`` gives with their states.
+        Of each body the first 10⁶ are kept; a RuntimeWarning tells of more. A run raises
+        ``MemoryError`` before they fill the memory.
 
     Returns
     -------
@@ -108,20 +111,27 @@ def event(
     return Event(g, int(way), stops, names_in("reads", reads), each)
 
 
-def warn_of_lost(lost: NDArray[np.bool_], events: int, switches: Sequence[str]) -> None:
-    """Warn of events, then switches (N, E), with values that are not finite.
+#: what was found, and what is accepted, in the order of ``warn_of_events``
+_TOLD = (
+    ("values that are not finite, and no crossing,", "a function that is finite during the run"),
+    (
+        f"more than {MOST_CROSSINGS} crossings, of which the first are kept,",
+        "a shorter run, which resume continues, or an event without every=True",
+    ),
+)
 
-    Those of an event that was located do not matter.
-    """
-    for i in np.flatnonzero(lost.any(axis=0)).tolist():
-        bodies = np.flatnonzero(lost[:, i])
-        name = f"events[{i}]" if i < events else f"Switch {switches[i - events]!r}"
-        rounding.warn(
-            f"{name}: found values that are not finite, and no crossing, for {bodies.size} of "
-            f"{len(lost)} bodies, the first of them body {bodies[0]}; accepted: a function that is "
-            "finite during the run",
-            RuntimeWarning,
-        )
+
+def warn_of_events(told: NDArray[np.bool_], events: int, switches: Sequence[str]) -> None:
+    """Warn of events, then switches (2, N, E), that are lost, or have too many crossings."""
+    for (what, accepted), which in zip(_TOLD, told, strict=True):
+        for i in np.flatnonzero(which.any(axis=0)).tolist():
+            bodies = np.flatnonzero(which[:, i])
+            name = f"events[{i}]" if i < events else f"Switch {switches[i - events]!r}"
+            rounding.warn(
+                f"{name}: found {what} for {bodies.size} of {len(which)} bodies, the first of them "
+                f"body {bodies[0]}; accepted: {accepted}",
+                RuntimeWarning,
+            )
 
 
 def events_of(
@@ -166,4 +176,4 @@ def _frozen(event: Event, scene: Scene, position: bool) -> Event:
         )
     params, states = parameters("params", scene.params), scene.states if is_of_states else 0
     function = function.of(role, params.shape[-1], params, states, reads=reads)
-    return replace(event, function=function)
+    return replace(event, function=function, source=event.source or event)

@@ -77,7 +77,8 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
         raise ValueError(f"{next(iter(rows))}: found rows {told}; accepted: one number of bodies")
     if "s0" in carried:
         side = carried["s0"][..., columns]
-        checks.refuse("s0 of a Switch", side, ~np.isin(side, (-1.0, 0.0, 1.0)), "1, -1 or 0")
+        is_none = (side != 0.0) & (np.abs(side) != 1.0)
+        checks.refuse("s0 of a Switch", side, is_none, "1, -1 or 0")
         _warn_of_speeds(scene, carried["s0"], carried.get("w0"))
     return start, carried
 

@@ -200,7 +200,7 @@ def _run_between(run: Trajectory, times: ArrayLike) -> Trajectory:
     if run.packed is None or "w" in run.carried:
         carried["w"] = motion[1]
     if run.first_crossings is not None:
-        stopped = np.isfinite(run.first_crossings[:, list(run.terminal)]).any(axis=1)
+        stopped = np.isfinite(run.first_crossings[:, run.terminal]).any(axis=1)
         for values in (motion[0], *carried.values()):
             values[:, stopped] = np.nan
         if stopped.any():

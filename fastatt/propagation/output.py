@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks
-from fastatt.engine.run import Results, Run
+from fastatt.codegen import memory
+from fastatt.engine.run import Crossings, Results, Run
 from fastatt.engine.status import Status
 from fastatt.engine.tape import Piece
 from fastatt.files import target, writing
@@ -22,8 +22,6 @@ from fastatt.propagation.schedule import Schedule, refuse_pairs
 from fastatt.propagation.trajectory import Trajectory
 from fastatt.threads import number_of
 
-# bytes below which the free memory is not checked
-_LITTLE = 1 << 30
 # numbers of a history that are written at a time, before the run
 _WRITTEN = 1 << 20
 
@@ -200,6 +198,8 @@ class Output:
         #: (first, end) of these
         self.batches = schedule.batches if self.is_ring else [(0, schedule.saves)]
         self._left = self.batches[::-1]
+        # parts of the crossings that functions took
+        self._crossed = 0
         #: the last attitudes that a function took
         self._last: NDArray[Any] | None = None
         #: counts what is done
@@ -233,7 +233,8 @@ class Output:
             return
         saves, status, event_times, crossings = self.results
         # flags and times of events change later
-        results = Results(saves[: end - first], status.copy(), event_times.copy(), [*crossings])
+        new, self._crossed = Crossings(crossings[self._crossed :]), len(crossings)
+        results = Results(saves[: end - first], status.copy(), event_times.copy(), new)
         piece = self._made(self._times[first:end], results, q_before=self._last)
         for take in self._takers:
             take(piece)
@@ -275,9 +276,9 @@ def check_room(shape: tuple[int, int, int], dtype: np.dtype[Any], file: Path | N
     """Raise ``MemoryError``, with the sizes, if saves do not fit into memory or on the disk."""
     saves, bodies, values = shape
     need = saves * bodies * (values + 1) * dtype.itemsize
-    if need <= _LITTLE:
+    if need <= memory.LITTLE:
         return
-    free, where = _available(), "memory"
+    free, where = memory.available(), "memory"
     if file is not None:
         free, where = shutil.disk_usage(file.resolve().parent).free, "disk"
     if free is not None and need > free:
@@ -286,12 +287,3 @@ def check_room(shape: tuple[int, int, int], dtype: np.dtype[Any], file: Path | N
             f"{free / 1e9:.3g} GB of free {where}; accepted: fewer saves, or "
             'on_save=fa.to_file("history.npy") on a disk that holds them'
         )
-
-
-def _available() -> int | None:
-    """Bytes of available memory; None if the system does not report them."""
-    with suppress(OSError):
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    return None

@@ -30,7 +30,7 @@ from fastatt.propagation import closed_run, limits
 from fastatt.propagation.breakpoints import breaks_within, corners_of, divisions_of
 from fastatt.propagation.choice_of_method import Choice
 from fastatt.propagation.end import MOST, Checkpoints, End
-from fastatt.propagation.event import warn_of_lost
+from fastatt.propagation.event import warn_of_events
 from fastatt.propagation.initial import Initial, initial
 from fastatt.propagation.limits import StepLimits
 from fastatt.propagation.output import History, InterruptedRun, Output, check_room
@@ -266,7 +266,7 @@ class Plan:
         other.
         """
         n, results, is_ring = self.n_bodies, output.results, output.is_ring
-        squares, lost = np.zeros(n, self.dtype), np.zeros((n, self._watched), np.bool_)
+        squares, told = np.zeros(n, self.dtype), np.zeros((2, n, self._watched), np.bool_)
         warned = n * self.schedule.n_steps > _LONG and self.limits.warn(start)
         if self.scene.states and self.schedule.n_steps and kept is None:
             self.limits.warn_of_states(self.packed, start, t0)
@@ -292,12 +292,12 @@ class Plan:
                 raise InterruptedRun(output.so_far()) from None
             squares[rows] = run.squares
             if isinstance(run, RunWithEvents):
-                lost[rows] = run.lost
+                told[:, rows] = run.lost, run.overfull
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
             warned = self.limits.warn(start, np.sqrt(squares), results.status)
         if self._watched:
-            warn_of_lost(lost, len(self.choice.events), self._switches)
+            warn_of_events(told, len(self.choice.events), self._switches)
         return run, warned
 
     def _steps(
@@ -388,7 +388,7 @@ class Plan:
             "packed": self.packed,
             "attitude": self.attitude,
             "record": self.choice.method,
-            "terminal": tuple(x.terminal for x in events),
+            "events": tuple(replace(x, function=None) for x in events),
             "crossing_numbers": {
                 **{i: i for i, x in enumerate(events) if x.every},
                 **{name: len(events) + k for k, name in enumerate(self._switches)},

@@ -15,6 +15,7 @@ from fastatt import arrays, checks
 from fastatt._cached import cached_property
 from fastatt.attitudes import QUATERNION, Attitude
 from fastatt.codegen.rows import rows
+from fastatt.engine.marks import Event
 from fastatt.engine.status import FLAGS, Status, count_flags
 from fastatt.methods import METHODS
 from fastatt.propagation.breakpoints import Divisions
@@ -94,8 +95,8 @@ class Trajectory:
     end: End | None = field(default=None, repr=False)
     #: times of events (N, E); None for a run without events
     first_crossings: NDArray[np.float64] | None = field(default=None, repr=False)
-    #: which of the events are terminal
-    terminal: tuple[bool, ...] = field(default=(), repr=False)
+    #: the events, whose functions are in their sources
+    events: tuple[Event, ...] = field(default=(), repr=False)
     #: the numbers of events and switches whose crossings are all ``located``, by number or name
     crossing_numbers: Mapping[int | str, int] = field(default_factory=dict, repr=False)
     located: tuple[tuple[int, Any, Any, Any], ...] = field(default=(), repr=False)
@@ -117,6 +118,11 @@ class Trajectory:
         if METHODS.get(record.name) is not record:  # its nested functions can't be pickled
             record = replace(record, steps=None)
         return {**state, "packed": None, "record": record}
+
+    @property
+    def terminal(self) -> list[bool]:
+        """Which of the events are terminal."""
+        return [x.terminal for x in self.events]
 
     @property
     def method(self) -> str:
@@ -213,16 +219,17 @@ class Trajectory:
             raise ValueError("event_times: the run had no events; accepted: propagate(events=)")
         return self.first_crossings[0] if self.one_body else self.first_crossings
 
-    def crossings(self, event: int | str) -> Crossings:
+    def crossings(self, event: Event | int | str) -> Crossings:
         """Give all crossings of an event or of a switch, in the order of the bodies and times.
 
-        A run that was resumed has those from then on.
+        A run that was resumed has those from then on, and a trajectory that ``on_save`` takes those
+        since the one before.
 
         Parameters
         ----------
-        event : int or str
-            The number of an event among ``events``, which ``fa.event(every=True)`` made, or the
-            name of a ``torques.Switch``.
+        event : Event, int or str
+            What ``fa.event(every=True)`` made, or its number among ``events``, by which a pickled
+            trajectory knows it; or the name of a ``torques.Switch``.
 
         Returns
         -------
@@ -236,12 +243,14 @@ class Trajectory:
         ValueError
             If there is no such event or switch.
         """
-        if event not in self.crossing_numbers:
-            known = (
-                ", ".join(map(repr, self.crossing_numbers)) or "an event(every=True), or a Switch"
-            )
-            raise ValueError(f"event: found {checks.brief(event)}; accepted: {known}")
-        which, stored = self.crossing_numbers[event], self.attitude.stored
+        numbers, shown = self.crossing_numbers, checks.brief(event)
+        if isinstance(event, Event):
+            sources = [x.source for x in self.events]
+            event = sources.index(event) if event in sources else -1
+        if event not in numbers:
+            known = ", ".join(map(repr, numbers)) or "an event(every=True), or a Switch"
+            raise ValueError(f"event: found {shown}; accepted: {known}")
+        which, stored = numbers[event], self.attitude.stored
         width = max([stored, *(x.stop for x in self.columns.values())]) + 1
         nothing = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, width))
         parts = zip(nothing, *(x[1:] for x in self.located if x[0] == which), strict=True)

@@ -17,6 +17,7 @@ from exact import RALSTON3
 from test_plan import BODY, OWN, Q0, RNG, SCENES, W0, bits, rates_of, swing
 
 import fastatt as fa
+from fastatt.codegen import memory
 from fastatt.engine import run as engine_run
 from fastatt.engine.tape import CALLING_LENGTH, Action
 from fastatt.propagation import end, output, plan
@@ -209,12 +210,12 @@ def test_wrong_files(tmp_path):
 
 
 def test_what_will_not_fit_is_said_before_it_begins(monkeypatch, tmp_path):
-    monkeypatch.setattr(output, "_LITTLE", 1000)
-    monkeypatch.setattr(output, "_available", lambda: 16_000)
+    monkeypatch.setattr(memory, "LITTLE", 1000)
+    monkeypatch.setattr(memory, "available", lambda: 16_000)
     options = {"n_steps": 49, "save_every": 1, **RK4}
     told = "save_every: 50 saves of 5 bodies take 1.6e-05 GB, of 1.6e-05 GB of free memory"
     assert fa.propagate(SCENES["free"], Q0, W0, **options).t.size == 50
-    monkeypatch.setattr(output, "_available", lambda: 15_999)
+    monkeypatch.setattr(memory, "available", lambda: 15_999)
     with pytest.raises(MemoryError, match=told):
         fa.propagate(SCENES["free"], Q0, W0, **options)
     with pytest.raises(MemoryError, match="1000000000001 saves"):  # not even their numbers

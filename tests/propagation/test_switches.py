@@ -1,6 +1,7 @@
 """Switches: sides that change where the steps of a body are divided; all crossings of events."""
 
 import math
+import pickle
 import warnings
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import fastatt as fa
+from fastatt.codegen import memory
+from fastatt.engine import run_with_events
 
 MOMENTS, LAG = np.array([2.0, 1.5, 1.0]), -0.02
 RNG = np.random.default_rng(3)
@@ -196,8 +199,40 @@ def test_all_crossings_of_an_event():
     np.testing.assert_array_equal(run.crossings(1).w, np.tile((0.0, 0.0, 1.0), (319, 1)))
     plain = fa.propagate(scene, [1, 0, 0, 0], **options)
     np.testing.assert_array_equal(run.q, plain.q)
-    with pytest.raises(ValueError, match=r"^event: found 'no'; accepted: 0, 1$"):
-        run.crossings("no")
+    for mine, other in zip(run.crossings(events[1]), run.crossings(1), strict=True):
+        np.testing.assert_array_equal(mine, other)
+    stored = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(stored.crossings(1).t, run.crossings(1).t)
+    for found, what in (("no", run), (events[0], stored), (fa.event(jets, every=True), run)):
+        with pytest.raises(ValueError, match=r"^event: found .*; accepted: 0, 1$"):
+            what.crossings(found)
+
+
+def test_crossings_take_no_more_room_than_there_is(monkeypatch):
+    """Each batch has those since the one before; of each body and event some are kept."""
+    scene = fa.Scene(rate=fa.rates.Constant((0.0, 0.0, 1.0)))
+    event, batches = fa.event(lambda t, q, w, p: math.sin(math.pi * t), every=True), []
+    options = {"dt": 0.25, "n_steps": 400, "save_every": 4, "method": "rk4", "events": [event]}
+    q = [[1, 0, 0, 0], [0, 1, 0, 0]]
+    run = fa.propagate(scene, q, on_save=batches.append, **options)
+    parts = [x.crossings(event) for x in batches]
+    assert max(x.t.size for x in parts) < 40
+    order = np.lexsort(np.concatenate([(x.t, x.body) for x in parts], axis=1))
+    whole = run.crossings(event)
+    assert whole.t.size == 200
+    np.testing.assert_array_equal(np.concatenate([x.t for x in parts])[order], whole.t)
+    monkeypatch.setattr(run_with_events, "MOST_CROSSINGS", 30)
+    told = (
+        r"^events\[0\]: found more than .* crossings, .* for 2 of 2 bodies, .* body 0; accepted: "
+    )
+    with pytest.warns(RuntimeWarning, match=told):
+        run = fa.propagate(scene, q, **options)
+    kept = run.crossings(event)
+    np.testing.assert_array_equal(kept.t, whole.t[whole.t < 30.5])
+    monkeypatch.setattr(memory, "LITTLE", 5000)
+    monkeypatch.setattr(memory, "available", lambda: 9000)
+    with pytest.raises(MemoryError, match=r"^crossings: those so far take .* accepted: fewer bod"):
+        fa.propagate(scene, q, **options)
 
 
 def test_a_body_that_slides_is_flagged():
