@@ -130,10 +130,12 @@ def test_in_a_loop(benchmark, name):
 
 
 FILTER = es.MEKF(START, np.diag([1e-4] * 3 + [1e-8] * 3), angle_noise=3e-4, bias_noise=1e-5)
+UNSCENTED, HELD = es.UKF(START, np.zeros(3), 1e-4 * np.eye(6)), es.gyro_motion(W, H)
 ROTATION = Rotation.from_quat([0.0, 0.0, 0.0, 1.0])
 FROM_PYTHON = {
     "hold": lambda: steps.hold(START, W, H),
     "MEKF.predict": lambda: FILTER.predict(np.array(W), H),
+    "UKF.predict": lambda: UNSCENTED.predict(HELD, 1e-10 * np.eye(6)),
     "numpy": lambda: numpy_hold(np.array(START), W, H),
     "scipy Rotation": lambda: ROTATION * Rotation.from_rotvec(np.multiply(H, W)),
     **{

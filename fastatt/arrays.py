@@ -229,10 +229,10 @@ def rotation_vector_to_quat(u: ArrayLike) -> NDArray[Any]:
     >>> fa.rotation_vector_to_quat([0.0, 0.0, 1.0]).round(4).tolist()
     [0.8776, 0.0, 0.0, 0.4794]
     """
-    return on_rows(quat.exp, angles_of("u", u, _length_shorter), after=4)
+    return on_rows(quat.exp, angles_of("u", u, length_shorter), after=4)
 
 
-def _length_shorter(u: list[Decimal]) -> list[Decimal]:
+def length_shorter(u: list[Decimal]) -> list[Decimal]:
     """A rotation vector whose length is less by a multiple of 4π."""
     length = sum((x * x for x in u), Decimal(0)).sqrt()
     return [x * length.remainder_near(4 * _PI) / length for x in u]

@@ -56,7 +56,7 @@ def common_number(of: str, **arrays: Sized) -> int:
 # tolerance of asymmetry, relative to √(P_ii P_jj), and of negative variances, in units of rounding
 _ASYMMETRY, _ROUNDING = 1e-9, 1e3
 # the same as a share of a variance, where elements of the matrix almost determine each other
-_NEGATIVE = -1e-6
+NEGATIVE = -1e-6
 
 
 def covariances(name: str, value: ArrayLike, shapes: str) -> NDArray[Any]:
@@ -96,7 +96,7 @@ def root(P: NDArray[Any]) -> NDArray[np.float64]:
     for k in range(size):
         column = P[..., k:, k] - (lower[..., k:, :k] @ lower[..., k, :k, None])[..., 0]
         share = column[..., :1] / np.where(P[..., k, k, None] > 0.0, P[..., k, k, None], 1.0)
-        none = (share >= _NEGATIVE) & (share <= 16.0 * size * np.finfo(np.float64).eps)
+        none = (share >= NEGATIVE) & (share <= 16.0 * size * np.finfo(np.float64).eps)
         with np.errstate(invalid="ignore"):
             lower[..., k:, k] = column / np.sqrt(np.where(none, np.inf, column[..., :1]))
     return lower

@@ -16,6 +16,7 @@ from fastatt.arrays import (
     normalised,
     on_rows,
 )
+from fastatt.codegen.rows import RowFunction
 from fastatt.estimation.amounts import (
     attitude_covariance,
     common_number,
@@ -31,6 +32,8 @@ Floats = NDArray[np.float64]
 
 #: measurements that a filter refuses in a row before it warns
 MOST_REFUSED = 10
+# rows of arrays that a filter keeps from call to call; those of many filters take much memory
+_KEPT = 10_000
 
 
 def attitude_error(q: ArrayLike, q_true: ArrayLike) -> Floats:
@@ -164,6 +167,14 @@ class _Call(NamedTuple):
     nonlinearity: Floats
 
 
+class _Bound(NamedTuple):
+    """A formula of rows, and the arrays that it reads and writes."""
+
+    run: Callable[[], object]
+    inputs: list[Floats]
+    outputs: list[Floats]
+
+
 class Estimates:
     """Attitudes, auxiliary states and covariances of (δθ, δy), for one filter or N."""
 
@@ -184,9 +195,10 @@ class Estimates:
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
         self._refused = np.zeros(n, dtype=np.int64)
         self._calls: dict[str, _Call] = {}
+        self._bounds: dict[str, _Bound] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_calls": {}}
+        return {**self.__dict__, "_calls": {}, "_bounds": {}}
 
     def _each(self, rows: Floats) -> Floats:
         """The rows or, for one filter, its row."""
@@ -218,6 +230,19 @@ class Estimates:
             run = formula.bound([*state, own, shared], [*state, *figures][: len(formula.outputs)])
             call = self._calls[name] = _Call(run, own, shared[0], *figures)
         return call
+
+    def _bound(self, name: str, formula: RowFunction, state: list[Floats], n: int = 0) -> _Bound:
+        """A formula of rows on its own arrays, of which the first are ``state``; n rows if any."""
+        if name in self._bounds:
+            return self._bounds[name]
+        n = n or len(self._q)
+        widths = [*formula.inputs.items()][len(state) :]
+        inputs = [np.empty((1 if key == "shared" else n, width or 1)) for key, width in widths]
+        outputs = [np.empty((n, width or 1)) for width in formula.outputs]
+        bound = _Bound(formula.bound([*state, *inputs], outputs), inputs, outputs)
+        if n <= _KEPT:
+            self._bounds[name] = bound
+        return bound
 
     def update_vector(
         self, measured: ArrayLike, reference: ArrayLike, sigma: float, *, gate: float | None = None

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import normalised, quat_multiply, rotation_vector_to_quat
-from fastatt.estimation.filters import Floats
+from fastatt.arrays import angles_of, length_shorter, normalised
+from fastatt.estimation.filters import Floats, turned
 from fastatt.propagation.choice_of_method import method_of
 from fastatt.propagation.propagate import propagate
 from fastatt.scene.scene import Scene, as_scene
@@ -76,8 +76,8 @@ def gyro_motion(gyro: ArrayLike, dt: float) -> Motion:
                 f"{len(samples)} gyro samples"
             )
         each = np.repeat(samples, len(q) // len(samples), axis=0)
-        turn = rotation_vector_to_quat(h * (each - y[:, :3]))
-        return quat_multiply(normalised(q), turn), y
+        u = angles_of("gyro", h * (each - y[:, :3]), length_shorter)
+        return turned(normalised(q), u), y
 
     return TimedMotion(motion, abs(h))
 

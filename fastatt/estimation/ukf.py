@@ -16,19 +16,15 @@ from fastatt.arrays import (
     quat_to_dcm,
     rotation_vector_to_quat,
 )
-from fastatt.estimation.amounts import covariances, definite, largest_square, root
-from fastatt.estimation.filters import (
-    Estimates,
-    Floats,
-    attitude_error,
-    normalised_square,
-    turned,
-)
+from fastatt.codegen.rows import rows
+from fastatt.estimation.amounts import covariances, definite, largest_square
+from fastatt.estimation.filters import Estimates, Floats, normalised_square, turned
 from fastatt.estimation.motions import Motion, moved_rows
+from fastatt.estimation.updates import spreading
+from fastatt.tracing.formulas import Vector, quat
 
-# largest angle of a sigma point from the estimate, and from the mean after a motion, rad, since
-# errors of π are ambiguous
-_FARTHEST, _FAR = 0.5 * math.pi, 0.75 * math.pi
+# largest angle of a sigma point from the mean after a motion, rad, since errors of π are ambiguous
+_FAR = 0.75 * math.pi
 
 
 class UKF(Estimates):
@@ -136,22 +132,21 @@ class UKF(Estimates):
         The points are to move for some seconds at rates in the first auxiliary numbers.
         """
         n, size = self._P.shape[:2]
-        axes = np.tile(np.eye(size), (n, 1, 1))
-        axes[:, :3, :3] = np.linalg.eigh(self._P[:, :3, :3])[1]
-        L = axes @ root(np.swapaxes(axes, 1, 2) @ self._P @ axes)
-        if not np.isfinite(L).all():
-            k = int(np.argmin(np.isfinite(L).all(axis=(1, 2))))
+        formula = spreading(size - 3)
+        call = self._bound("points", formula, [self._q, self._y, self._P.reshape(n, -1)])
+        axes, shared = call.inputs
+        axes[:] = np.linalg.eigh(self._P[:, :3, :3])[1].reshape(n, 9)
+        shared[:] = math.sqrt(size + self._kappa), seconds
+        call.run()
+        q, y, L, columns = (x.copy() for x in call.outputs)
+        if not checks.all_finite(L):
+            k = int(np.argmin(np.isfinite(L).all(axis=1)))
             raise ValueError(
                 f"covariance{'' if self._one else [k]}: has a negative variance; accepted: a "
                 "covariance, which kappa from 0 on keeps"
             )
-        away = np.linalg.norm(L[:, :3], axis=1) + seconds * np.linalg.norm(L[:, 3:6], axis=1)
-        usual = math.sqrt(size + self._kappa)
-        columns = np.minimum(usual, _FARTHEST / np.maximum(away, _FARTHEST / usual))
-        side = np.swapaxes(columns[:, None] * L, 1, 2)
-        d = np.concatenate([np.zeros((n, 1, size)), side, -side], axis=1)
-        q = turned(self._q[:, None], d[..., :3])
-        return q, self._y[:, None] + d[..., 3:], L, columns
+        points = (n, 2 * size + 1, -1)
+        return q.reshape(points), y.reshape(points), L.reshape(n, size, size), columns
 
     def _moments(self, x: Floats, columns: Floats) -> tuple[Floats, Floats, Floats]:
         """Moments of (N, 2D + 1, m) at the points.
@@ -186,11 +181,15 @@ class UKF(Estimates):
         m = q.shape[0] * q.shape[1]
         moved = moved_rows(motion, q.reshape(m, 4), y.reshape(m, size - 3))
         q, y = moved[0].reshape(q.shape), moved[1].reshape(y.shape)
-        mean = q[:, 0]
-        for _ in range(2):
-            shift, *_ = self._moments(attitude_error(mean[:, None], q), columns)
-            mean = normalised(turned(mean, shift))
-        errors = attitude_error(mean[:, None], q)
+        formula = rows(_about, {"q": 4, "mean": 4, "shift": 3}, (4, 3))
+        call = self._bound("mean", formula, [], m)
+        of_points = [x.reshape(n, -1, x.shape[-1]) for x in (*call.inputs, *call.outputs)]
+        moved_q, means, shifts, shifted, errors = of_points
+        moved_q[:], means[:], shifts[:] = q, q[:, :1], 0.0
+        for _ in range(3):
+            call.run()
+            centre, slopes, spread = self._moments(np.concatenate([errors, y], axis=-1), columns)
+            means[:], shifts[:] = shifted, centre[:, None, :3]
         farthest = float(np.linalg.norm(errors, axis=-1).max())
         if farthest > _FAR:
             warnings.warn(
@@ -198,9 +197,8 @@ class UKF(Estimates):
                 "π would be taken for others; shorter motions between updates keep them nearer",
                 stacklevel=2,
             )
-        centre, slopes, spread = self._moments(np.concatenate([errors, y], axis=-1), columns)
         P = np.swapaxes(slopes, 1, 2) @ slopes + spread + added
-        self._set(slice(None), mean, centre[:, 3:], P)
+        self._set(slice(None), shifted[:, 0], centre[:, 3:], P)
 
     def update(
         self,
@@ -236,10 +234,10 @@ class UKF(Estimates):
         """
         q, y, L, columns = self._points(0.0)
         (n, points), size = q.shape[:2], self._P.shape[1]
-        rows = n * points
+        total = n * points
         checks.function("observe", observe, "a function observe(q, y)")
-        values = observe(q.reshape(rows, 4), y.reshape(rows, size - 3))
-        values = checks.array("observe", values, f"({rows}, m)", [(rows, -1)]).astype(np.float64)
+        values = observe(q.reshape(total, 4), y.reshape(total, size - 3))
+        values = checks.array("observe", values, f"({total}, m)", [(total, -1)]).astype(np.float64)
         z = values.reshape(n, points, -1)
         m = z.shape[-1]
         added = definite("noise", noise, f"({m}, {m}) or ({n}, {m}, {m})")
@@ -283,6 +281,12 @@ def _wrapping(period: Any, m: int) -> Callable[[Any], Any]:
         )
     turns = np.where(np.isinf(periods), 0.0, periods)
     return lambda difference: difference - turns * np.rint(difference / periods)
+
+
+def _about(q: Vector, mean: Vector, shift: Vector) -> Any:
+    """The mean after a shift, and the error δθ of the attitude q from it."""
+    shifted = quat.renormalise(quat.mul(mean, quat.exp(shift)))
+    return shifted, quat.log(quat.mul(quat.conj(shifted), q))
 
 
 def attitude_variance(P: Floats) -> Any:

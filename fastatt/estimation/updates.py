@@ -22,11 +22,13 @@ two components, and of the difference of the lengths, which does not depend on t
 from __future__ import annotations
 
 import math
+import sys
 from functools import lru_cache, partial
 from typing import Any
 
 from fastatt.codegen.rows import RowFunction
 from fastatt.codegen.scalar import scalar_function
+from fastatt.estimation.amounts import NEGATIVE
 from fastatt.kernels import dcm, error_state, quat, trig
 from fastatt.kernels.vec3 import add, axpy, dot, scale
 from fastatt.tracing.formulas import Vector
@@ -320,6 +322,75 @@ def _perpendicular(n: Any) -> Any:
     a = -one / (s + n[2])
     m = n[0] * n[1] * a
     return (one + s * n[0] * n[0] * a, s * m, -s * n[0]), (m, s + n[1] * n[1] * a, -n[1])
+
+
+# points of an unscented filter
+
+#: largest angle of a point from the estimate, rad, since errors of π are ambiguous
+FARTHEST = 0.5 * math.pi
+
+
+@_formula
+def _sigma_points(q, y, P, axes, shared):
+    """Attitudes and auxiliary states of the points, L, and their distances in columns of it.
+
+    P = L Lᵀ, along the principal axes of the attitude's covariance, columns of a matrix. The points
+    lie at the usual distance or, to move for some seconds at rates in y, at FARTHEST at most.
+    """
+    inverse = dcm.transpose(axes)
+    rows = _rotated(inverse, _rotated(inverse, _split_rows(P, 3 + len(y))))
+    sides = [
+        (*dcm.rotate(axes, column[:3]), *column[3:]) for column in zip(*_lower(rows), strict=True)
+    ]
+    distances = [_distance(side[:3], side[3:6], *shared) for side in sides]
+    turns = [tuple(k * x for x in side) for k, side in zip(distances, sides, strict=True)]
+    turns += [tuple(-x for x in turn) for turn in turns]
+    attitudes = q, *(quat.mul(q, quat.exp(turn[:3])) for turn in turns)
+    states = y, *(_plus(y, turn[3:]) for turn in turns)
+    return sum(attitudes, ()), sum(states, ()), sum(zip(*sides, strict=True), ()), tuple(distances)
+
+
+@_formula
+def _distance(turn, rate, usual, seconds):
+    F = type(usual)
+    away = math.sqrt(dot(turn, turn)) + seconds * math.sqrt(sum(x * x for x in rate))
+    least = F(FARTHEST) / usual
+    nearer = F(FARTHEST) / (away if away > least else least)
+    return nearer if nearer < usual else usual
+
+
+def _lower(P: Any) -> Any:
+    """Rows of the lower triangular L of P = L Lᵀ; without variance a column is 0, below 0 NaN."""
+    F, size = type(P[0][0]), len(P)
+    lower = [[F(0.0)] * size for _ in range(size)]
+    for k in range(size):
+        column = [
+            row[k] - sum(x * y for x, y in zip(of_row[:k], lower[k][:k], strict=True))
+            for row, of_row in zip(P, lower, strict=True)
+        ]
+        factor = _inverse_root(column[k], P[k][k], F(16.0 * size * sys.float_info.epsilon))
+        for i in range(k, size):
+            lower[i][k] = factor * column[i]
+    return lower
+
+
+@_formula
+def _inverse_root(x, whole, least):
+    """1/√x, or 0 if x is no more than rounding of ``whole``; NaN of negative variances."""
+    F = type(x)
+    share = x / whole if whole > F(0.0) else x
+    root = F(1.0) / math.sqrt(x)
+    root = F(0.0) if share <= least else root
+    return root if share >= F(NEGATIVE) else F(math.nan)
+
+
+@lru_cache
+def spreading(numbers: int) -> RowFunction:
+    """``_sigma_points`` of filters with some auxiliary numbers, one distance and one time."""
+    size = 3 + numbers
+    points = 2 * size + 1
+    inputs = {"q": 4, "y": numbers, "P": size**2, "axes": 9, "shared": 2}
+    return RowFunction(_sigma_points, inputs, (4 * points, numbers * points, size**2, size))
 
 
 # ensembles: formulas for the numbers of one filter

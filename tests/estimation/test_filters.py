@@ -294,12 +294,14 @@ def test_a_covariance_changed_in_place_is_that_of_the_filter(start):
 # sigma points
 
 
-def test_sigma_points_have_the_moments_of_the_error():
-    P = some_covariance()
-    f = es.UKF(START, (0.1, 0.2, 0.3), P, kappa=2.0)
+@pytest.mark.parametrize("numbers", [1, 3, 6])
+def test_sigma_points_have_the_moments_of_the_error(numbers):
+    P = np.diag(np.linspace(0.1, 0.2, 3 + numbers))
+    P[:6, :6] = some_covariance()[: len(P), : len(P)]
+    f = es.UKF(START, np.linspace(0.1, 0.3, numbers), P, kappa=8.0 - len(P))
     q, y = f.sigma_points()
     d = np.concatenate([es.attitude_error(f.q, q[0]), y[0] - f.y], axis=1)
-    weights = np.array([2.0, *[0.5] * 12]) / 8.0
+    weights = np.array([8.0 - len(P), *[0.5] * (2 * len(P))]) / 8.0
     assert np.abs(weights @ d).max() <= 1e-15
     assert np.abs((d.T * weights) @ d - P).max() <= 1e-14
     assert np.array_equal(q[0, 0], f.q)
