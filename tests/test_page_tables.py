@@ -58,6 +58,18 @@ def test_the_page_has_every_representation_with_its_size():
     assert sorted((row[0].strip("`"), int(row[1])) for row in rows) == sorted(expected)
 
 
+def test_representations_are_named_where_one_is_chosen():
+    glossary, methods = ((PAGES / x).read_text() for x in ("glossary.md", "reference/methods.md"))
+    for text in (fa.propagate.__doc__, glossary, methods):
+        assert [name for name in ATTITUDES if f'"{name}"' not in text] == []
+
+
+def test_the_guide_has_all_that_a_log_holds():
+    page = (PAGES / "guides/gyro-logs.md").read_text(encoding="utf-8")
+    fields = fa.gyro.GyroLog.__dataclass_fields__
+    assert [name for name in fields if f"log.{name}" not in page] == []
+
+
 def test_the_pages_name_the_methods_that_step_states():
     names = [f"`{m.name}`" for m in fa.METHODS.values() if m.couples]
     for page, text in (

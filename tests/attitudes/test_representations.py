@@ -94,6 +94,18 @@ def test_euler313_says_that_it_passed_its_singularity(offset):
     assert angle(traj.q[-1, 1], mul(q0[1], exp(w[1]))) < 1e-9
 
 
+@pytest.mark.filterwarnings("ignore:status")
+@pytest.mark.parametrize("representation", REPRESENTATIONS)
+def test_tumbling_bodies_are_right_or_flagged(representation):
+    """They pass the poles of all coordinates, some of them near."""
+    rng = np.random.default_rng(3)
+    q0, w0, moments = rng.normal(size=(200, 4)), 3.0 * rng.normal(size=(200, 3)), (2.0, 1.0, 1.5)
+    found = run("rk8", representation, 100, 0.04, fa.Scene(inertia=moments), q0, w0=w0)
+    right, _ = fa.closed_form.free_body(q0, w0, moments, 4.0)
+    assert (angle(found.q[-1], right)[found.status == 0] < 1e-6).all()
+    assert found.status.any() == ATTITUDES[representation].has_poles
+
+
 # the shadow set
 
 

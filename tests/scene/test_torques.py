@@ -427,6 +427,28 @@ def test_a_users_function_that_uses_the_rate_is_seen_where_it_says_it_does_not()
 # potentials
 
 
+@each("name", MODELS)
+def test_a_torque_that_does_no_work_around_small_loops_has_an_energy(name):
+    """Of torques of the attitude alone; the energy is what `fa.drift` then looks at."""
+    model = MODELS[name][0]
+
+    def torque(t, q):
+        return found_torque(model, "quat", t, q, 0.0 * SPIN, None)
+
+    curls, changes = [], []
+    for t, q, _ in states():
+        values = [torque(t, mul(q, exp(d))) for d in displaced(3, 1e-2)]
+        slopes = derivative(np.array(values), 1e-2)  # of component i along axis j
+        turned = np.array([[np.cross(a, b) @ torque(t, q) for b in np.eye(3)] for a in np.eye(3)])
+        curls.append(slopes - slopes.T + turned)
+        changes.append(torque(t + 1.0, q) - torque(t, q))
+    is_closed = np.abs(curls).max() < 1e-6 and not np.any(changes)
+    no_damping = DEPENDENCE[name] == Dependence.POSITION
+    # the energy at a position that stays is of no use in an orbit
+    if no_damping and name != "GravityGradientAt":
+        assert is_closed == (model.energy is not None)
+
+
 def test_torques_that_keep_an_energy():
     keep = ["HeavyTop", "MagneticDipole", "Rotor", "HeavyTop Rotor"]
     for names in (*keep, "HeavyTop Damping", "GravityGradient", "QuaternionPD", "Constant"):
