@@ -55,34 +55,22 @@ def results():
     return found
 
 
-def results_on(name, path, **environment):
+def results_on(name, folder):
     """The results of a process that is told what its processor is."""
+    cpu, features, *known = PROCESSORS[name]
+    host = re.findall(r"\+([\w.]+)", llvm.get_host_cpu_features().flatten())
+    if not {*re.findall(r"\w[\w.]*", features)} <= {*host}:
+        pytest.skip(f"{name}: not a part of this processor")
+    path, folders = folder / "runs.npz", os.pathsep.join((str(ROOT), str(ROOT / "tests")))
+    told = {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features, "PYTHONPATH": folders}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", __file__, str(path)],
-        cwd=ROOT,
-        env={
-            **os.environ,
-            **environment,
-            "PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "tests"))),
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        cwd=ROOT, env=os.environ | told, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(x) for x in PROCESSORS[name][2:]]
+    assert done.stdout.split() == [str(x) for x in known]
     with np.load(path) as file:
         return dict(file)
-
-
-def on(name, tmp_path):
-    cpu, features, *_ = PROCESSORS[name]
-    if not set(re.findall(r"\w[\w.]*", features)) <= set(
-        re.findall(r"\+([\w.]+)", llvm.get_host_cpu_features().flatten())
-    ):
-        pytest.skip(f"{name}: not a part of this processor")
-    told = {"NUMBA_CPU_NAME": cpu, "NUMBA_CPU_FEATURES": features}
-    return results_on(name, tmp_path / "runs.npz", **told)
 
 
 def different(a, b):
@@ -91,7 +79,7 @@ def different(a, b):
 
 @pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
 def test_half_the_vectors_give_the_same_bits(tmp_path):
-    there = on("AVX2", tmp_path)
+    there = results_on("AVX2", tmp_path)
     here = results()
     assert different(here, there) == []
     assert here["fast status"].any()  # turns beyond π: the careful form was compiled there too
@@ -100,7 +88,7 @@ def test_half_the_vectors_give_the_same_bits(tmp_path):
 
 @pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
 def test_without_fused_multiplication_results_differ_by_rounding(tmp_path):
-    there, here = on("no AVX", tmp_path), results()
+    there, here = results_on("no AVX", tmp_path), results()
     for name in ("free", "fast", "moments", "top", "rate"):
         fine = here[f"{name} status"] == 0
         assert fine.any()

@@ -364,16 +364,9 @@ except ImportError as error:
 
 
 TOGETHER = """
-import ctypes, multiprocessing as mp, sys
-from numba import types
+import multiprocessing as mp, sys
 from fastatt import _store
-from fastatt.codegen import modules
-def answer(n):
-    room = (ctypes.c_double * 1)()
-    arguments = (types.CPointer(types.float64),)
-    code = modules.generated(f"def run(x): x[0] = {n}.0\\n", arguments, {}, "")
-    ctypes.CFUNCTYPE(None, ctypes.c_void_p)(code.address)(room)
-    return int(room[0])
+from test_store import answer
 def work(barrier, queue):
     barrier.wait()
     queue.put([answer(n) for n in range(5)])
@@ -399,8 +392,8 @@ def test_processes_may_write_at_once(tmp_path, start):
     done = subprocess.run(
         [sys.executable, str(script), start],
         env={
-            **os.environ, "FASTATT_CACHE": str(folder), "PYTHONPATH": str(ROOT),
-            "NUMBA_CACHE_DIR": "",
+            **os.environ, "FASTATT_CACHE": str(folder), "NUMBA_CACHE_DIR": "",
+            "PYTHONPATH": os.pathsep.join((str(ROOT), str(Path(__file__).parent))),
         },
         capture_output=True, text=True, check=False, timeout=120,
     )  # fmt: skip
@@ -409,7 +402,7 @@ def test_processes_may_write_at_once(tmp_path, start):
     assert len(files_of(folder)) == 5
 
 
-EDITED = """
+AFTER_EDITS = """
 import numpy as np
 import fastatt as fa
 from fastatt import _store as store
@@ -439,7 +432,7 @@ def test_an_edited_source_is_never_served_stale(tmp_path):
     def found():
         caches = {"cache": tmp_path / "c", "NUMBA_CACHE_DIR": str(tmp_path / "n")}
         package = tmp_path / "copy"
-        return process(EDITED.format(package=str(package)), package=package, **caches)
+        return process(AFTER_EDITS.format(package=str(package)), package=package, **caches)
 
     first = found()
     for file, edit in sources.items():

@@ -311,7 +311,7 @@ def values_of(made, point) -> np.ndarray:
     """What the library gives."""
     t, q, w, p = point
     row = [t, *q, *w, *p]
-    return np.array(made.kept.replay(row) if made.followed else made(*row), float)
+    return np.array(made.recording.replay(row) if made.followed else made(*row), float)
 
 
 def asked(function, point):
@@ -465,11 +465,11 @@ def of_values(seed: int) -> tuple[str, str]:
             -1, -1, 0
         ]
     else:
-        found = made.kept.replay([1.0, 1.0])[0]
+        found = made.recording.replay([1.0, 1.0])[0]
     try:
         other = fa.Scene(rate=scope["rate"], params=scene.params)
         (new,) = other.functions
-        again = new.kept.replay([1.0, 1.0])[0] if new.followed else new(1.0, 1.0)[0]
+        again = new.recording.replay([1.0, 1.0])[0] if new.followed else new(1.0, 1.0)[0]
     except TypeError as error:
         return "error", f"{about}: a new scene is refused: {error}"
     if abs(found - 0.5) > 1e-12 or abs(again - 0.9) > 1e-12 or scene == other:

@@ -1,5 +1,6 @@
 """Functions followed by their execution paths: the operations give what Python gives."""
 
+import inspect
 import math
 import time
 from typing import NamedTuple
@@ -394,22 +395,9 @@ def of_kernels(x, y):
 
 
 FUNCTIONS = [
-    *(
-        conditional,
-        logic,
-        values_of_logic,
-        chained,
-        assigned,
-        one_branch_alone,
-        early,
-    ),
-    *(loops, look_up, newton, broken_off, local_helpers),
-    *(changes_a_list, known_conditions, globals_, clamped, calls, remainders, powers),
-    *(collected, is_in, rounded, numpys, remainders_of_c, typed, matched),
-    *(remainders_to_the_nearest, calls_with_any_arguments, of_kernels, selected_arrays),
-    *(truth_of_comparison, truth_as_number, none_at_first, aliases, helpers_that_write),
-    *(iterators, texts_and_truths, masks, whole_numbers, tables, defaults_of_objects),
-]
+    f for f in [*globals().values()]
+    if inspect.isfunction(f) and [*inspect.signature(f).parameters] == ["x", "y"]
+]  # fmt: skip
 
 
 class Numbers:
