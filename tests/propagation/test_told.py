@@ -41,10 +41,8 @@ def run_states(scene, method, dt=0.1):
     )
 
 
-METHODS, FUNCTIONS = (
-    ("rk4", "rk8", "rk9", "gbs16"),
-    ((flexible, 0.5), (lagging, 1.0), (driven, 1.0)),
-)
+METHODS = [m.name for m in fa.METHODS.values() if m.couples]
+FUNCTIONS = (flexible, 0.5), (lagging, 1.0), (driven, 1.0)
 OFTEN = [("rk4", *FUNCTIONS[0]), ("gbs16", *FUNCTIONS[2])]
 
 
