@@ -76,7 +76,7 @@ class Job:
     def switches(self) -> tuple[int, ...]:
         """Where the sides of the scene's switches are among the stepped variables."""
         law = self.structure.rotation.law
-        return tuple(self.size - law.states + x.states.start for x in law.switches)
+        return tuple(self.size - law.states + k for k in law.switches.values())
 
     @cached_property
     def holds(self) -> tuple[bool, ...]:

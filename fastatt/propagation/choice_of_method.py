@@ -96,6 +96,11 @@ def method_of(
     """
     attitude_of(representation)  # raises for an unknown name
     _refuse_odd(scene.functions, representation)
+    if scene.reads_sign and representation != QUATERNION.name:
+        raise ValueError(
+            f"representation: found {representation} with a QuaternionPD(divides=True), which "
+            'depends on the sign of q; accepted: "quat", or divides=False'
+        )
     # a list of methods loads all of them
     able = partial(methods_for, scene, stepped=stepped)
     if method is None:

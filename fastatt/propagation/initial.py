@@ -57,8 +57,10 @@ def initial(scene: Scene, values: Sequence[Any]) -> tuple[NDArray[Any], dict[str
     """
     q0, w0, v0, r0, s0 = values
     columns = [k for k, clock in enumerate(scene.clocks) if clock == AT_CROSSINGS]
-    if 0 < scene.states == len(columns) if s0 is None else isinstance(s0, Mapping):
-        s0 = _states(scene, s0 or {})
+    if isinstance(s0, Mapping):
+        s0 = _states(scene, s0)
+    elif s0 is None and 0 < scene.states == len(columns):
+        s0 = np.zeros(scene.states)
     start = checks.attitudes("q0", q0)
     rotates, moves, n, carried = scene.kind != "rate", scene.moves, scene.states, {}
     for name, value, size, wanted, needed in (

@@ -346,7 +346,7 @@ class Plan:
     @property
     def _switches(self) -> tuple[str, ...]:
         """The names of the scene's switches."""
-        return tuple(x.term.name for x in self.scene.switches)
+        return tuple(self.scene.switches)
 
     @cached_property
     def width(self) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks
 from fastatt.scene import models
-from fastatt.scene.law import Law, Sampling, Term
+from fastatt.scene.law import AT_CROSSINGS, Law, Sampling, Term
 from fastatt.scene.models import (
     PER_AXIS,
     Field,
@@ -77,8 +77,9 @@ class QuaternionPD(Torque):
 
     The vector part of e is half the rotation vector when the error is small, so that a stiffness of
     K N·m gives K/2 N·m/rad. If the target moves, its angular velocity along body axes is subtracted
-    from w. The torque jumps where e0 passes 0; a step across the jump has order 1 with any method
-    and sets the flag ``Status.JUMP``.
+    from w. The torque jumps where e0 passes 0. With ``divides`` the steps of a body are divided
+    there; otherwise a step across the jump has order 1 with any method and sets the flag
+    ``Status.JUMP``.
 
     Parameters
     ----------
@@ -92,6 +93,12 @@ class QuaternionPD(Torque):
         to sample.
     limit : array_like, optional
         Largest torque along each body axis, N·m, above 0: a number, (3,), (N, 1) or (N, 3).
+    divides : bool, default False
+        Whether steps are divided where e0 passes 0, as at the crossings of a :class:`Switch`, which
+        keeps the order of the method. The sign of e0 is then a state, 1 or -1, that changes only
+        there, and ``run.crossings`` gives the crossings, by the name of the term in a :class:`Sum`
+        or "QuaternionPD". It takes methods for which ``Method.couples`` is True and the
+        representation "quat".
 
     References
     ----------
@@ -108,33 +115,61 @@ class QuaternionPD(Torque):
     damping: _Gain
     target: _TabledQuaternion = (1.0, 0.0, 0.0, 0.0)
     limit: _Limit = None
+    divides: bool = False
+
+    @property
+    def states(self) -> int:  # type: ignore[override]
+        """The sign of e0, if steps are divided where it changes."""
+        return int(self.divides)
+
+    @property
+    def reads_sign(self) -> bool:  # type: ignore[override]
+        """With a sign that is held, the error must not change its own."""
+        return self.divides
+
+    @property
+    def clocks(self) -> tuple[Sampling | None, ...]:
+        """The sign changes at crossings."""
+        return (AT_CROSSINGS,) * self.states
+
+    def crossed(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        """The scalar part of the error."""
+        return self._error(pose)[:1]
 
     def decay(self) -> Any:
         """The damping gains, for a matrix the sums of its rows, which bound its eigenvalues."""
         gains = np.abs(np.asarray(self.damping, dtype=np.float64))
         return gains.sum(axis=-1) if gains.ndim >= 2 else gains
 
-    def formula(self: Any, t: Any, pose: Pose) -> Any:
-        (target, slope), w = self.target, pose.w
+    def formula(self: Any, t: Any, pose: Pose, *states: Vector) -> Any:
+        (target, slope), w, error = self.target, pose.w, self._error(pose)
         if slope:
             # angular velocity of the target, q, along body axes: 2 q* (dq/dt q*) q
             rate = quat.mul(slope, quat.conj(target))
             size = dot(target, target)
             w = minus(w, pose.to_body(tuple(2.0 * x / size for x in rate[1:])))
-        shorter = scale(-1.0, self._shorter_error(pose)[1:])
-        torque = minus(_gained(self.stiffness, shorter), _gained(self.damping, w))
-        return rigid.saturated(torque, on_each_axis(self.limit)) if self.limit else torque
+        side = as_like(states[0][0], w[0]) if states else rigid.sign_of_scalar(error)
+        back = scale(-1.0, scale(side, error)[1:])
+        torque = minus(_gained(self.stiffness, back), _gained(self.damping, w))
+        torque = rigid.saturated(torque, on_each_axis(self.limit)) if self.limit else torque
+        return (*torque, *(0.0,) * len(states))
 
-    def _shorter_error(self: Any, pose: Pose) -> Vector:
-        """The attitude error of at most 180°."""
+    def _error(self: Any, pose: Pose) -> Vector:
+        """The attitude error, a quaternion."""
         target, slope = self.target
-        error = rigid.target_error(quat.normalise(target) if slope else target, pose.quaternion)
-        return scale(rigid.sign_of_scalar(error), error)
+        error: Vector = rigid.target_error(
+            quat.normalise(target) if slope else target, pose.quaternion
+        )
+        return error
 
     def sides(self, t: Any, pose: Pose, states: Vector) -> list[Vector]:
-        return [self._shorter_error(pose.along_body)]
+        if states:
+            return []
+        error = self._error(pose.along_body)
+        return [scale(rigid.sign_of_scalar(error), error)]
 
     def check(self: Any, name: str) -> None:
+        checks.flag(f"{name}.divides", self.divides)
         check_unit(f"{name}.target", self.target[0], np.abs(self.stiffness).max(axis=(0, 1)))
 
 

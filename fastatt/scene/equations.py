@@ -487,8 +487,7 @@ class Coupled(EquationsOfMotion):
         coupled = CoupledStates(*(tuple(map(Double, y)) for y in self._named(self._split(x)[1])))
         q, w = (tuple(map(Double, y)) for y in (quat.renormalise(q), w))
         pose = Pose(QUATERNION, q, w, coupled=coupled, shown=body.shown(time, coupled))
-        places, p = body.structure.law.switches, body.torque_numbers
-        return [x.term.numbers(time, p[x.params]).crossed(time, pose) for x in places]
+        return body.structure.law.crossed(time, pose, body.torque_numbers, coupled.states)
 
     def base(self, x: Vector) -> Vector:
         a, moved = self._split(x)

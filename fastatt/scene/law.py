@@ -163,9 +163,24 @@ class Law:
         return tuple(x for model in self.models for x in model.clocks)
 
     @cached_property
-    def switches(self) -> list[Place]:
-        """The places of terms whose state is a side."""
-        return [x for x in self.places if x.term.model.clocks == (AT_CROSSINGS,)]
+    def switches(self) -> dict[str, int]:
+        """Where the sides are among the states, by the names of their terms."""
+        switches: dict[str, int] = {}
+        for term, _, part in self.places:
+            for k, clock in enumerate(term.model.clocks, part.start):
+                if clock == AT_CROSSINGS:
+                    name = term.name or type(term.model).__name__
+                    switches[f"{name}.{k}" if name in switches else name] = k
+        return switches
+
+    def crossed(self, t: Any, pose: Any, p: Any, states: Vector) -> list[Any]:
+        """The functions whose signs are the sides, at a pose."""
+        return [
+            function
+            for term, params, part in self.places
+            if AT_CROSSINGS in term.model.clocks
+            for function in term.numbers(t, p[params], pose.shown).crossed(t, pose, states[part])
+        ]
 
     @cached_property
     def samplings(self) -> tuple[Sampling, ...]:
@@ -200,6 +215,11 @@ class Law:
     def is_constant(self) -> bool:
         """Whether it is a rate that is constant along its axes."""
         return all(model.is_constant for model in self.models)
+
+    @cached_property
+    def reads_sign(self) -> bool:
+        """Whether it depends on the sign of the quaternion."""
+        return any(model.reads_sign for model in self.models)
 
     @cached_property
     def reads_position(self) -> bool:

@@ -134,6 +134,8 @@ class Model:
     is_constant: ClassVar[bool] = False
     #: whether a torque or a force depends on the position
     reads_position: ClassVar[bool] = False
+    #: whether a torque depends on the sign of the quaternion
+    reads_sign: ClassVar[bool] = False
     #: number of states of a rate or a torque. Its formula takes them last, and returns their time
     #: derivatives after the rate or torque, in one tuple
     states: ClassVar[int] = 0
@@ -156,6 +158,10 @@ class Model:
     def evaluate(self, *state: Any) -> Any:
         """The formula along the axes of the state."""
         return self.formula(*state)
+
+    def crossed(self, t: Any, pose: Any, states: Vector) -> Sequence[Any]:
+        """The functions whose signs are the sides among its states."""
+        return ()
 
     def update(self, t: Any, pose: Any, states: Vector, sampling: Sampling) -> Any:
         """The states after a sample time, of those before."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fastatt import checks
 from fastatt.scene import models
 from fastatt.scene.inertia import is_tensor
-from fastatt.scene.law import Law, Sampling, Term
+from fastatt.scene.law import AT_CROSSINGS, Law, Sampling, Term
 from fastatt.scene.models import Field, PackedTerm, Packing, Parameters, join
 from fastatt.scene.torque_record import Pose, Torque, check_unit
 from fastatt.tracing.formulas import Vector, as_like, dot, plus, quat, scale, vec3
@@ -49,7 +49,8 @@ class ReactionWheels(Torque):
     - the K angular momenta h, N·m·s;
     - the held torques, N·m, of a sampled command: K, one for each motor, if the command is a
       function with ``period``; three, along body axes, if it is a ``SampledControl``;
-    - the states of the command.
+    - the states of the command;
+    - with ``divides`` the K signs of the speeds, 1 or -1; with 0 those at the start are found.
 
     Parameters
     ----------
@@ -85,12 +86,16 @@ class ReactionWheels(Torque):
         Width of the range of speeds in which Coulomb friction changes its sign, rad/s, above 0. At
         five times this speed and above, the friction is within 2 % of ``coulomb``. Steps must be
         shorter than the time in which a wheel passes this range; one that passes it
-        sets the flag ``Status.JUMP``.
+        sets the flag ``Status.JUMP``. With ``divides`` it has no effect.
     max_torque : array_like, optional
         Largest torque of a motor, N·m, 0 for one that failed. Commands that exceed it are cut off.
     max_speed : array_like, optional
         Largest speed to which a motor accelerates its wheel, rad/s, above 0. Over the last
         hundredth of the range the accelerating torque falls linearly to 0.
+    divides : bool, default False
+        Whether steps are divided where the speed of a wheel passes 0, as at the crossings of a
+        :class:`Switch`. The friction is then coulomb_k sgn(Ω_k), and methods keep their order. A
+        wheel that friction holds slides, with the flag ``Status.SLIDING``.
 
     Raises
     ------
@@ -140,11 +145,13 @@ class ReactionWheels(Torque):
     coulomb_speed: _OfWheels = 1.0
     max_torque: Parameters = None
     max_speed: Parameters = None
+    divides: bool = False
 
     def __post_init__(self) -> None:
         name, command = "ReactionWheels", self.command
         axes, _ = self._numbers(name)
         self._sampling(name)
+        checks.flag(f"{name}.divides", self.divides)
         of_function = {
             "params": self.params is not None,
             "states": checks.whole(f"{name}.states", self.states, 0) > 0,
@@ -187,11 +194,12 @@ class ReactionWheels(Torque):
             packing.tables.update(command.tables)
         states = count * (1 if sampled is None else 2) + memory
         states += command.states if isinstance(command, Law) else 0
+        states += count * self.divides
         sizes = tuple(column.shape[-1] for column in columns.values())
         nothing: dict[str, Any] = dict.fromkeys(columns)
         driven = _Driven(
             **nothing, command=command, states=states, sampled=sampled, count=count,
-            rubs=bool((columns["coulomb"] > 0.0).any()),
+            divides=self.divides, rubs=bool((columns["coulomb"] > 0.0).any()) and not self.divides,
         )  # fmt: skip
         term = Term(driven, sizes, (None,) * len(sizes))
         return term, join(list(columns.values()), packing.n_bodies, name)
@@ -364,8 +372,10 @@ class _Driven(Torque):
     states: int = 0  # type: ignore[misc]
     #: sample times of a command that is a function
     sampled: Sampling | None = None
-    #: the number of wheels, and whether one of them has Coulomb friction
+    #: the number of wheels, whether steps are divided where their speeds change their signs, and
+    #: whether a step across such a change is told
     count: int = 0
+    divides: bool = False
     rubs: bool = False
 
     @property
@@ -376,9 +386,14 @@ class _Driven(Torque):
 
     @property
     def clocks(self: Any) -> tuple[Sampling | None, ...]:
-        of_command = (self.sampled,) * (self.states - self.count)
+        _, of_command, sides = self._split((self.sampled,) * self.states)
         of_command = self.command.clocks if isinstance(self.command, Law) else of_command
-        return (*(None,) * self.count, *of_command)
+        return (*(None,) * self.count, *of_command, *(AT_CROSSINGS,) * len(sides))
+
+    def _split(self, states: Any) -> tuple[Any, Any, Any]:
+        """The momenta, what the command has, and the signs of the speeds, if they are held."""
+        count, end = self.count, self.states - self.count * self.divides
+        return states[:count], states[count:end], states[end:]
 
     def show(self: Any, name: str, t: Any, pose: Pose, states: Vector) -> Vector:
         momenta = states[: len(self.inertia)]
@@ -389,40 +404,49 @@ class _Driven(Torque):
         """That of a command that is a model."""
         return isinstance(self.command, Law) and self.command.reads_position
 
+    @property
+    def reads_sign(self) -> bool:  # type: ignore[override]
+        """That of a command that is a model."""
+        return isinstance(self.command, Law) and self.command.reads_sign
+
+    def crossed(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
+        """Those of a command that is a model, and the speeds, if their signs are held."""
+        momenta, more, sides = self._split(states)
+        is_law = isinstance(self.command, Law)
+        of_command = self.command.crossed(t, pose, self.params, more) if is_law else ()
+        return (*of_command, *(self._speeds(momenta, pose.along_body) if sides else ()))
+
     def wheels(self: Any) -> Any:
         return list(zip(self.inertia, self.axes, strict=True))
 
     def evaluate(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
-        count, body = len(self.inertia), pose.along_body
-        momenta, more = states[:count], states[count:]
+        (momenta, more, sides), body = self._split(states), pose.along_body
         speeds = self._speeds(momenta, body)
         motors, slopes = self._commanded(t, pose, speeds, more)
         motors = tuple(self._within_limits(k, u, speeds[k]) for k, u in enumerate(motors))
-        friction = tuple(
-            c * x + f * x / apply("sqrt", slow * slow + x * x)
-            for c, f, slow, x in zip(
-                self.viscous, self.coulomb, self.coulomb_speed, speeds, strict=True
-            )
-        )
+        slows = zip(self.coulomb_speed, speeds, strict=True)
+        signs = sides or [x / apply("sqrt", slow * slow + x * x) for slow, x in slows]
+        each = zip(self.viscous, self.coulomb, speeds, signs, strict=True)
+        friction = tuple(c * x + f * sign for c, f, x, sign in each)
         net = tuple(u - f for u, f in zip(motors, friction, strict=True))
         inside = plus(*(scale(h, a) for h, a in zip(momenta, self.axes, strict=True)))
         reaction = plus(*(scale(-u, a) for u, a in zip(net, self.axes, strict=True)))
         torque = plus(vec3.cross(inside, body.w), reaction)
         if pose.axes is not None:
             torque = quat.rotate_inverse(pose.axes, torque)
-        return (*torque, *net, *slopes)
+        return (*torque, *net, *slopes, *(0.0,) * len(sides))
 
     def update(self: Any, t: Any, pose: Pose, states: Vector, sampling: Sampling) -> Any:
-        count = len(self.inertia)
-        momenta, more = states[:count], states[count:]
+        momenta, more, sides = self._split(states)
         if isinstance(self.command, Law):
-            inner = self.command.updated(t, pose, self.params, more, None, sampling)
-            return (*momenta, *inner)
-        speeds = self._speeds(momenta, pose.along_body)
-        return (*momenta, *self._called(t, pose, (*speeds, *more[count:])))
+            new = self.command.updated(t, pose, self.params, more, None, sampling)
+        else:
+            speeds = self._speeds(momenta, pose.along_body)
+            new = self._called(t, pose, (*speeds, *more[self.count :]))
+        return (*momenta, *new, *sides)
 
     def sides(self: Any, t: Any, pose: Pose, states: Vector) -> list[Vector]:
-        momenta, more = states[: self.count], states[self.count :]
+        momenta, more, _ = self._split(states)
         of_command = isinstance(self.command, Law)
         sides = self.command.sides(t, pose, self.params, more) if of_command else []
         if not self.rubs:

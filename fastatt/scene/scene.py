@@ -25,6 +25,7 @@ from fastatt.scene.inertia import (
 )
 from fastatt.scene.law import Law, Place, Sampling
 from fastatt.scene.models import Packed, join, numbers, row_count
+from fastatt.scene.switch import Switch
 from fastatt.scene.time_series import TimeSeries
 from fastatt.scene.torque_record import Dependence
 from fastatt.tracing.signature import SIGNATURES
@@ -187,7 +188,7 @@ class Scene:
                 f"states: found {self.states} with {checks.brief(self._acting)}; accepted: "
                 f"{carried}, the number of its states, or a function that takes them"
             )
-        if not all(x.term.name for x in structure.rotation.law.switches):
+        if any(isinstance(x.model, Switch) and not x.name for x in structure.rotation.law.terms):
             raise ValueError(
                 "torque: found a Switch without a name; accepted: a term of a Sum with names"
             )
@@ -299,9 +300,14 @@ class Scene:
         }
 
     @property
-    def switches(self) -> list[Place]:
-        """The places of the switches of the torque."""
+    def switches(self) -> dict[str, int]:
+        """Where the sides of the torque's switches are among the states, by their names."""
         return self._law.switches
+
+    @property
+    def reads_sign(self) -> bool:
+        """Whether the torque depends on the sign of the quaternion."""
+        return self._law.reads_sign
 
     @property
     def reads_position(self) -> bool:

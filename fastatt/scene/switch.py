@@ -90,8 +90,8 @@ class Switch(UserModel, Torque):
         """No torque, and a side that stays."""
         return 0.0, 0.0, 0.0, 0.0
 
-    def crossed(self: Any, t: Any, pose: Pose) -> Any:
+    def crossed(self: Any, t: Any, pose: Pose, states: Vector) -> Any:
         """The function, whose sign is the side."""
         placed = pose.coupled[:2] if self.uses_position else ()
         read = map(pose.shown, self.reads)
-        return self.function.call(t, pose.quaternion, pose.w, *placed, *read, self.params)
+        return (self.function.call(t, pose.quaternion, pose.w, *placed, *read, self.params),)

@@ -57,17 +57,15 @@ def driven(g, *more, **options):
     )
 
 
-def restarted(body):
+def restarted(body, torque, *functions):
     """SciPy's DOP853 with held sides, begun again at each crossing: the end, and the crossings."""
-    functions = (lambda y: y[0] * y[1] + LAG * y[4], lambda y: y[0] * y[2] + LAG * y[5] - 0.05)
-    y, t, times, push = np.r_[Q0[body], W0[body]], 0.0, ([], []), PUSH[body, 0]
+    y, t, times = np.r_[Q0[body], W0[body]], 0.0, [[] for _ in functions]
     side = [np.sign(g(y)) for g in functions]
 
     def slope(t, y):
         q, w = y[:4], y[4:]
         turn = 0.5 * np.array([-q[1:] @ w, *(q[0] * w + np.cross(q[1:], w))])
-        torque = np.array([-push * side[0], -push * side[1], 0.0])
-        return np.r_[turn, (np.cross(MOMENTS * w, w) + torque) / MOMENTS]
+        return np.r_[turn, (np.cross(MOMENTS * w, w) + torque(body, y, side)) / MOMENTS]
 
     def until(k):
         crossing = lambda t, y: side[k] * functions[k](y)  # noqa: E731
@@ -76,11 +74,11 @@ def restarted(body):
 
     while t < END:
         solved = solve_ivp(
-            slope, (t, END), y, "DOP853", rtol=3e-14, atol=1e-15, events=[until(0), until(1)],
-            max_step=0.05,
+            slope, (t, END), y, "DOP853", rtol=3e-14, atol=1e-15, max_step=0.05,
+            events=[until(k) for k in range(len(functions))],
         )  # fmt: skip
         t, y = solved.t[-1], solved.y[:, -1]
-        for k in (0, 1):
+        for k in range(len(functions)):
             if solved.t_events[k].size:
                 times[k].append(t)
                 side[k] = -side[k]
@@ -89,7 +87,14 @@ def restarted(body):
 
 @pytest.fixture(scope="module")
 def true():
-    return [restarted(body) for body in range(N)]
+    def torque(body, y, side):
+        return np.array([-PUSH[body, 0] * side[0], -PUSH[body, 0] * side[1], 0.0])
+
+    functions = (
+        lambda y: y[0] * y[1] + LAG * y[4],
+        lambda y: y[0] * y[2] + LAG * y[5] - 0.05,
+    )
+    return [restarted(body, torque, *functions) for body in range(N)]
 
 
 @pytest.mark.parametrize(
@@ -115,6 +120,59 @@ def test_methods_keep_their_order(true, method, n, order, bound):
             for t, q, w in zip(found.t, found.q, found.w, strict=True)
         ]
         assert np.abs(values).max() < 1e-13
+
+
+def test_pd_divides_where_it_passes_half_a_turn():
+    """Alone and within a Sum; 12 bodies pass 180° once or more."""
+    gains, target = np.array([0.1, 0.08, 0.06]), np.array([0.1, 0.7, -0.5, 0.5])
+    target /= np.linalg.norm(target)
+
+    def error(y):
+        p, a, q = target[0], -target[1:], y[:4]
+        return np.r_[p * q[0] - a @ q[1:], p * q[1:] + q[0] * a + np.cross(a, q[1:])]
+
+    def torque(body, y, side):
+        return -gains * side[0] * error(y)[1:] - 0.01 * y[4:]
+
+    true = [restarted(body, torque, lambda y: error(y)[0]) for body in range(N)]
+    q = np.array([y[:4] for y, _ in true])
+    pd = fa.torques.QuaternionPD(gains, 0.01, target=target, divides=True)
+    scene = fa.Scene(inertia=MOMENTS, torque=pd)
+    errors = []
+    for n in (20, 40):
+        run = fa.propagate(scene, Q0, W0, dt=END / n, n_steps=n, method="rk8")
+        errors.append(np.median(fa.angle_between(run.q[-1], q)))
+        assert (run.status == 0).all()
+    assert errors[0] < 1e-8
+    assert errors[0] / errors[1] > 2.0**7
+    passes = np.concatenate([x[0] for _, x in true])
+    assert passes.size > 5
+    np.testing.assert_allclose(run.crossings("QuaternionPD").t, passes, atol=1e-9)
+    named = fa.propagate(summed(pd=pd), Q0, W0, dt=END / n, n_steps=n, method="rk8")
+    np.testing.assert_array_equal(named.q, run.q)
+    np.testing.assert_array_equal(named.crossings("pd").t, run.crossings("QuaternionPD").t)
+    with pytest.raises(ValueError, match=r"^representation: found mrp with a QuaternionPD"):
+        fa.propagate(scene, Q0, W0, dt=0.1, n_steps=1, method="rk4", representation="mrp")
+
+
+@pytest.mark.parametrize("is_model", [False, True])
+def test_a_wheel_divides_where_it_stands(is_model):
+    """Under a constant torque it reverses against Coulomb friction; all is linear in time."""
+    j, inertia, u, rub, begin, end = 0.1, 1.5, 0.03, 0.01, -0.5, 3.0
+    command = lambda t, q, w, s, p: u  # noqa: E731
+    if is_model:
+        command = fa.torques.Custom(lambda t, q, w, p: (0.0, 0.0, -u))
+    wheel = fa.torques.ReactionWheels([[0, 0, 1]], j, command, coulomb=rub, divides=True)
+    scene = fa.Scene(inertia=(2.0, 1.8, inertia), torque=wheel)
+    s0 = [*wheel.momenta(begin, (0.0, 0.0, 0.0)), 0.0]
+    run = fa.propagate(scene, *REST, s0=s0, dt=0.7, t_end=end, method="rk4")
+    gain = 1.0 / j + 1.0 / inertia
+    stands = -begin / ((u + rub) * gain)
+    np.testing.assert_allclose(run.crossings("ReactionWheels").t, stands, rtol=1e-14)
+    net = (u + rub) * stands + (u - rub) * (end - stands)
+    np.testing.assert_allclose(run.w[-1], [0.0, 0.0, -net / inertia], rtol=1e-14)
+    np.testing.assert_allclose(run.s[-1], [j * begin + net, 1.0], rtol=1e-14)
+    assert run.status.tolist() == [0]
 
 
 def test_saves_within_divided_steps():
