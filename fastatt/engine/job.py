@@ -89,7 +89,7 @@ class Job:
         return len(self.holds)
 
     @property
-    def given(self) -> int:
+    def initial(self) -> int:
         """How many initial values there are."""
         return self.attitude.coordinates + self.structure.tail
 
@@ -170,7 +170,7 @@ class Job:
     def begin(self) -> Flat:
         """From initial values: all that a body takes with it, but for its events."""
         scope = self.scope()
-        y = scope.inputs("y", self.given)
+        y = scope.inputs("y", self.initial)
         t, h = scope.time(), scope.number("h")
         x = scope.defined(
             h, scope.motion.begin(y[: self.attitude.coordinates], y[self.attitude.coordinates :])

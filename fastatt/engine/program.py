@@ -64,7 +64,7 @@ class Program(TwoForms):
         }  # fmt: skip
         #: which of these belong to events, and are not known to a run that is resumed with others
         self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
-        handed_out = max(job.handed_out + 1, job.given)
+        handed_out = max(job.handed_out + 1, job.initial)
         self.rows = _firsts(**self.kept, c=len(precisions) - sum(is_wide), io=handed_out)
         p = 0 if job.shared else parameters
         self.wide = _firsts(p=p, c=sum(is_wide), called=job.calls)

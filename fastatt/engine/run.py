@@ -139,15 +139,16 @@ class Run:
     ) -> None:  # fmt: skip
         program = setup.program
 
-        def own(x: Array) -> Array:
+        def of_rows(x: Array) -> Array:
             return x if len(x) == 1 else x[rows]
 
         self.setup, self.steps, self.results, self.t0 = setup, steps, results, t0
         #: the numbers of the bodies
         self.bodies = np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
-        self.params, self._flags = own(setup.params), own(setup.flags)
+        self.params, self._flags = of_rows(setup.params), of_rows(setup.flags)
         params = self.params[:1, :0] if program.job.shared else self.params
-        self._inputs: tuple[Array, ...] = (own(start[0])[None], own(start[1])[None], params[None])
+        q0, y0 = map(of_rows, start)
+        self._inputs: tuple[Array, ...] = (q0[None], y0[None], params[None])
         n = results.status.size
         self.states = np.empty((n, program.is_of_events.size), DTYPES[program.job.precision])
         self._machine = tile_machine(

@@ -222,7 +222,7 @@ class Model:
                 look_ups.append(_reading(field, label, value, packing))
             elif isinstance(value, TimeSeries):
                 field.check_table(label, value)
-                rows = np.arange(float(value.rows))[:, None] if value.layout.own else np.zeros(0)
+                rows = np.arange(float(value.rows))[:, None] if value.layout.by_row else np.zeros(0)
                 columns.append(rows)
                 look_ups.append(LookUp(len(tables), value.layout, field.table == "slopes"))
                 tables[len(tables)] = value.data

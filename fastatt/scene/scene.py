@@ -72,7 +72,8 @@ class Scene:
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force jumps or has a kink. Steps end there, so that the
-        method keeps its order. Those of tables in models and of ``rates.Slew`` are known.
+        method keeps its order. Those of tables in models and of ``rates.Slew`` are known. For times
+        of each body let the torque read a ``torques.Switch`` of ``t - p[0]``.
 
     Attributes
     ----------
@@ -515,7 +516,7 @@ def _of_rows(value: Any, rows: Any, dims: int = 1) -> Any:
         numbers |= {k: _of_rows(x, rows) for k, x in inner.items() if isinstance(x, models.Model)}
         return replace(value, **numbers)  # type: ignore[type-var]
     if isinstance(value, TimeSeries):
-        return value[rows] if value.layout.own else value
+        return value[rows] if value.layout.by_row else value
     if value is None or callable(value) or np.ndim(value) <= dims:  # shared
         return value
     return np.asarray(value)[rows]
@@ -530,7 +531,11 @@ def as_scene(scene: object) -> Scene:
 
 def _breakpoints(value: Any) -> tuple[float, ...]:
     times = () if value is None else value
-    instants = checks.array("breakpoints", times, "times (B,), s", [(), (0,), (-1,)])
+    accepted = (
+        "times (B,) of all bodies, s; for times of each body let the torque read the side of a "
+        "torques.Switch of t - p[0]"
+    )
+    instants = checks.array("breakpoints", times, accepted, [(), (0,), (-1,)])
     return tuple(np.unique(instants.astype(np.float64)).tolist())
 
 

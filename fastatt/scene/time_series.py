@@ -62,7 +62,7 @@ class TableLayout(NamedTuple):
     cubic: bool
     uniform: bool
     holds: bool
-    own: bool
+    by_row: bool
     steps: bool
 
     @property
@@ -200,7 +200,7 @@ class TimeSeries:
         return hash(self.digest)
 
     def __repr__(self) -> str:
-        rows = f"{self.rows} rows of " if self.layout.own else ""
+        rows = f"{self.rows} rows of " if self.layout.by_row else ""
         start, end = self.span
         return f"<TimeSeries: {rows}{self.layout.size} numbers, {start:g} s to {end:g} s>"
 
@@ -230,7 +230,7 @@ class TimeSeries:
         return numbers.reshape(self.rows, -1, self.layout.stride)[..., : self.layout.size]
 
     def __getitem__(self, rows: Any) -> TimeSeries:
-        if not self.layout.own:
+        if not self.layout.by_row:
             raise TypeError(f"table[rows]: found {self!r}; accepted: a table of values (N, T, k)")
         begin = int(self._head.samples)
         chosen = np.atleast_2d(self.data[begin:].reshape(self.rows, -1)[rows])
@@ -264,8 +264,8 @@ class TimeSeries:
         return self._read(t, row)[1]
 
     def _read(self, t: Any, row: Any) -> Any:
-        if (row is None) == self.layout.own:
-            accepted = "table(t, row)" if self.layout.own else "table(t), one row is for all"
+        if (row is None) == self.layout.by_row:
+            accepted = "table(t, row)" if self.layout.by_row else "table(t), one row is for all"
             raise TypeError(f"row: found {row!r}; accepted: {accepted}")
         row, size = 0.0 if row is None else row, self.layout.size
         numbers: tuple[Any, ...]
@@ -335,7 +335,7 @@ class TimeSeries:
         instants = checks.array("times", times, "(S,)", [(-1,), (0,)], flag=True).astype(np.float64)
         numbers = self.numbers_at(instants[:, None], np.arange(float(self.rows)))
         values = numbers[: self.layout.size]
-        return np.stack(values, axis=-1) if self.layout.own else np.concatenate(values, axis=-1)
+        return np.stack(values, axis=-1) if self.layout.by_row else np.concatenate(values, axis=-1)
 
 
 class _Ways(NamedTuple):
@@ -389,12 +389,12 @@ def _look_up(layout: TableLayout, t: Any, row: Any, ways: _Ways) -> tuple[Any, .
         if layout.steps:  # 1 at the last sample only; NaN stays
             f = choose(t >= end, 1.0, choose(t < end, 0.0, f))
     sample = head.samples + float(layout.stride) * k
-    if layout.own:
+    if layout.by_row:
         there = (row >= 0.0) & (row < head.rows) & (floor(row) == row)
         sample = sample + choose(there, row, 0.0) * head.row
     else:
         there = inside
-    if layout.own or not layout.holds:
+    if layout.by_row or not layout.holds:
         known = there if layout.holds else inside & there
         f, width = choose(known, f, np.nan), choose(known, width, np.nan)
     numbers = take(sample, layout.stride if layout.cubic else 2 * layout.size)
