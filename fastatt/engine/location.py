@@ -62,7 +62,8 @@ class MarkedSteps:
         self.t, self.end, self.rest = begin + since, begin + (taken + 1) * self.dt, self.dt.copy()
         self._p = run.params if len(run.params) == 1 else run.params[rows]
         clock = [self.t, since, self.dt, legs["low"], legs["high"], self.dt]
-        self._clock, self._tables = np.stack(clock, axis=1), run.setup.tables
+        self._clock, self._n_threads = np.stack(clock, axis=1), run.n_threads
+        self._tables = run.setup.tables
         self._after = _after(replace(job, precision="double"))
         least = np.maximum(_POINTS[job.precision], np.abs(begin / self.dt + taken) * 2.0**-52)
         #: the times, s, that rounding tells apart
@@ -83,7 +84,9 @@ class MarkedSteps:
         self._clock[some, -1] = share * self.rest[some]
         inputs = (y if len(y) == 1 else y[some] for y in (self.x, self._p, self._e, self._clock))
         with np.errstate(all="ignore"):
-            results: tuple[Array, ...] = self._after(*inputs, tables=self._tables)
+            results: tuple[Array, ...] = self._after(
+                *inputs, tables=self._tables, n_threads=self._n_threads
+            )
         return results
 
     def time(self, share: Array, some: Array) -> Array:

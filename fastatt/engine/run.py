@@ -159,7 +159,7 @@ class Run:
         tiles = -(-n // width)
         least, each = 8 * n_threads if n_threads > 1 else 1, _CALLING if calls else _TILES
         groups = min(tiles, max(least, tiles // each))
-        self._bounds, self._n_threads = [tiles * i // groups for i in range(groups + 1)], n_threads
+        self._bounds, self.n_threads = [tiles * i // groups for i in range(groups + 1)], n_threads
         self._grain = self._pace = program.job.block
         if not (calls or program.job.switches):
             most = min(n, width * -(-tiles // groups))
@@ -196,7 +196,7 @@ class Run:
         """Perform a piece of the run."""
         tiles = pairwise(self._bounds)
         calls = [partial(self.perform, piece.tape, slice(None), *ends) for ends in tiles]
-        seconds = in_threads(calls, self._n_threads)
+        seconds = in_threads(calls, self.n_threads)
         share = _SECONDS / max(1e-9, *seconds)
         if not 1.0 <= share <= 2.0:
             self._pace = int(min(self._pace * min(2.0, share), _LONGEST))

@@ -7,6 +7,7 @@ performs the piece again, with later marks alone, and so does one whose step has
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,14 @@ from fastatt.engine.location import MarkedSteps, Points, crossings_within
 from fastatt.engine.run import Run
 from fastatt.engine.status import FLAGS, Status
 from fastatt.engine.tape import Action, Piece, Tape, times_of
+from fastatt.threads import in_threads
 
 Array = NDArray[Any]
 
 #: crossings of a body that are kept of each event or switch, at most
 MOST_CROSSINGS = 1_000_000
+# bodies that a thread performs again, at least
+_SOME = 1024
 # steps of the shortest piece
 _LEAST = 64
 
@@ -77,7 +81,9 @@ class RunWithEvents(Run):
         while (again := self._again(piece, begun, is_over)).size:
             rounds += again.size
             self.states[again] = begun[again]
-            self.perform(piece.tape, again, since=self.until[again])
+            parts = np.array_split(again, min(self.n_threads, -(-again.size // _SOME)))
+            calls = [partial(self.perform, piece.tape, x, since=self.until[x]) for x in parts]
+            in_threads(calls, self.n_threads)
         if 8 * rounds > len(begun):
             self._pace = max(self._pace // 4, _LEAST)  # fewer are performed again
         self._save(piece.tape)
