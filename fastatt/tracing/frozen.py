@@ -410,8 +410,11 @@ class Freezer:
         frozen.__defaults__ = function.__defaults__ and tuple(map(self, function.__defaults__))
         frozen.__kwdefaults__ = {k: self(x) for k, x in (function.__kwdefaults__ or {}).items()}
         for name, value in vars(function).items():
-            with contextlib.suppress(RefusedError, TraceError):  # which may never be read
+            before = dict(self._pairs)
+            try:
                 setattr(frozen, name, self(value))
+            except (RefusedError, TraceError):  # it may never be read
+                self._pairs = before
         return frozen
 
 

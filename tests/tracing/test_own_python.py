@@ -221,11 +221,22 @@ class Bits(enum.IntFlag):
     LOW, HIGH = 1, 2
 
 
+DRAWN = [iter((1.0, 2.0))]
+
+
+def drawn():
+    return next(DRAWN[0])
+
+
 def scaled(x):
     return scaled.gain * x
 
 
-scaled.gain, scaled.clock = 0.5, time.time
+scaled.gain, scaled.clock, scaled.drawn = 0.5, time.time, drawn
+
+
+def after_the_attribute(again):
+    return lambda: scaled(1.0) + again()
 
 
 class Row(NamedTuple):
@@ -307,6 +318,7 @@ def test_values_with_functions_are_followed(value):
     [
         *(lambda: COLOUR.now(), lambda: LEVEL.now(), lambda: ROW.now(), lambda: GAIN.now()),
         *(lambda: scaled.clock(), lambda: halved(scaled.clock())),
+        after_the_attribute(drawn),
         *(lambda: BOX.now, lambda: Box.now, lambda: LATE.time, lambda: COMPUTED.k, lambda: LAZY.t),
         *(lambda: Row(1.0, 2.0).now(), lambda: halved(BOX.now), lambda: halved(LEVEL.now())),
     ],
