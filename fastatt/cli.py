@@ -230,8 +230,6 @@ def _output(out: Path | None, log: str) -> Path:
 
 
 def _integrate_one(arguments: argparse.Namespace, path: str, out: Path) -> None:
-    if Path(path).is_dir():
-        raise ValueError(f"LOG: found the directory {path}; accepted: a file")
     if path != "-" and out.exists() and out.samefile(path):
         raise ValueError(f"out: found {out}, which is LOG; accepted: another file")
     check_ending(out)

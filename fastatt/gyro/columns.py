@@ -207,18 +207,14 @@ def format_of(names: Sequence[str], axes: Sequence[str], file: str) -> Format | 
     return None
 
 
-def gyro(names: Sequence[str], file: str) -> list[int] | None:
-    """The gyro's columns, None if there are none; raises ``GyroLogError`` for more than one gyro.
+def gyros(names: Sequence[str], file: str) -> list[list[int]]:
+    """The columns of every gyro.
 
     Axes of a sensor without a name are those of a gyro in a format alone.
     """
     unnamed = triples(names, "unnamed")[:1]
     defined = [axes for axes in unnamed if format_of(names, [names[i] for i in axes], file)]
-    gyros = triples(names, "gyro") or defined
-    if len(gyros) > 1:
-        first = listed(names[i] for axes in gyros for i in axes)
-        raise GyroLogError(f"found more than one gyro ({first}); say which with columns")
-    return gyros[0] if gyros else None
+    return triples(names, "gyro") or defined
 
 
 def other_sensor(names: Sequence[str], sensor: str, known: Format | None) -> Sensor:

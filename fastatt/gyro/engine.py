@@ -21,7 +21,6 @@ Array = NDArray[Any]
 NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 # tiles between two checks for Ctrl-C: some 0.05 s
 _PIECE = 4096
-_NONE = {np.dtype(precise): np.empty(0, precise) for precise in (np.float64, np.float32)}
 
 
 class Samples(NamedTuple):
@@ -139,7 +138,7 @@ def _prepared(samples: Samples, out: Array, q: Array) -> tuple[GyroProgram, Logs
     window, uneven = method.window, isinstance(spans, np.ndarray)
     missing = 0 if window.iteration else -(out.shape[1] - 1) % window.span
     before, after = ends.beyond(data, spans, window, increments, missing)
-    known, interval = (spans, 0.0) if uneven else (_NONE[data.dtype], float(spans))
+    known, interval = (spans, 0.0) if uneven else (np.empty(0, data.dtype), float(spans))
     logs = Logs(data, before, after, known, attitudes=out, q=q, lead=lead, interval=interval)
     return program(window, increments, data.dtype, uneven), logs
 

@@ -51,17 +51,12 @@ def turned(q, u):
 
 
 @helper
-def _one(q, u):
-    return turned(q, u)
-
-
-@helper
 def _two(q, u):
     return turned(q, u[:3]) + turned(q, u[3:])
 
 
 # attitudes after each of one or two rotation vectors from the same attitude, flat
-_TURNED: dict[int, Any] = {1: _one, 2: _two}
+_TURNED: dict[int, Any] = {1: turned, 2: _two}
 
 
 @kernel

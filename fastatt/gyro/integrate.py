@@ -170,8 +170,11 @@ def _of_each(
     start = checks.attitudes("q0", q0)
     starts = start if start.ndim > 1 else [start] * len(rates)
     spans = dt if isinstance(dt, (list, tuple)) or np.ndim(dt) else [dt] * len(rates)
-    _check_count("q0", starts, len(rates), "(4,)")
-    _check_count("dt", spans, len(rates), "a number")
+    for name, values, one in (("q0", starts, "(4,)"), ("dt", spans, "a number")):
+        if len(values) != (n := len(rates)):
+            raise ValueError(
+                f"{name}: found {len(values)} of them; accepted: {one}, or {n}, one a log"
+            )
     attitudes = []
     for k, (log, h, q) in enumerate(zip(rates, spans, starts, strict=True)):
         try:
@@ -186,13 +189,6 @@ def _of_each(
     result = stacked if out is None else _output(out, stacked.shape, stacked.dtype)
     result[:] = stacked
     return result
-
-
-def _check_count(name: str, values: Any, n_logs: int, one: str) -> None:
-    if len(values) != n_logs:
-        raise ValueError(
-            f"{name}: found {len(values)} of them; accepted: {one}, or {n_logs}, one a log"
-        )
 
 
 def of_log(rates: Any, dt: Any, increments: bool) -> tuple[Any, Any]:

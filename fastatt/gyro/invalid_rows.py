@@ -69,15 +69,16 @@ def in_order(
     if jumps.any():
         gaps |= np.diff(np.cumsum(jumps)[rows]) > 0
     dropped = np.delete(np.arange(len(t)), rows) if len(rows) < len(t) else rows[:0]
-    kinds = {"rows dropped": dropped, "gaps": rows[1:][gaps]}
-    since = {kind: np.append(0.0, s)[np.searchsorted(rows, bad)] for kind, bad in kinds.items()}
-    said = [_said(table, kind, bad, since[kind]) for kind, bad in kinds.items() if bad.size]
-    if on_bad_rows == "refuse" and any(bad.size for bad in kinds.values()):
-        k, kind = min((int(bad[0]), kind) for kind, bad in kinds.items() if bad.size)
+    kinds = [("rows dropped", dropped), ("gaps", rows[1:][gaps])]
+    kinds = [(kind, bad) for kind, bad in kinds if bad.size]
+    if kinds and on_bad_rows == "refuse":
+        k, kind = min((int(bad[0]), kind) for kind, bad in kinds)
         what = ", or a number beside it, overflows; accepted: finite numbers"
         if usable[k]:
             what = _what(kind, t[: k + 1], longest)
         raise GyroLogError(f"{clock[:60]} in {table.place(k)}{what}")
+    before = np.append(0.0, s)
+    said = [_said(table, kind, x, before[np.searchsorted(rows, x)]) for kind, x in kinds]
     return s, rows, _lost(table, s, steps, usual, rows) + said
 
 

@@ -219,13 +219,16 @@ def _gyro_columns(table: Table, columns: Sequence[str] | None) -> list[int]:
         return table.chosen(columns, 3, "columns")
     for i in names.repeated(table.names):
         raise GyroLogError(f"found the column {table.names[i][:60]!r} twice; {table.by_number()}")
-    triple = names.gyro(table.names, table.name)
-    if triple is None:
+    gyros = names.gyros(table.names, table.name)
+    if len(gyros) > 1:
+        several = names.listed(table.names[i] for axes in gyros for i in axes)
+        raise GyroLogError(f"found more than one gyro ({several}); say which with columns")
+    if not gyros:
         raise GyroLogError(
             f"found no three columns named like gyro x, y, z among {table.shown()}; name them with "
             "columns (names or numbers from 1)"
         )
-    return triple
+    return gyros[0]
 
 
 def _others(
@@ -273,7 +276,11 @@ def _clock(table: Table, time_column: Any, defined: names.Format | None) -> stam
             "a time column"
         )
     name = table.column(columns[0])
-    return stamps.clock(columns, cells, name[:60], names.time_unit(name, defined))
+    if len(columns) > 1:
+        return stamps.Clock(columns, ["int", "int"], name[:60], "ns", "parts in s and ns")
+    if (how := stamps.kind(cells[0])) == "date":
+        return stamps.Clock(columns, [how], name[:60], "ns", "dates")
+    return stamps.Clock(columns, [how], name[:60], names.time_unit(name, defined))
 
 
 def _rate(table: Table, rate: float | None) -> float:

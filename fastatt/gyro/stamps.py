@@ -87,20 +87,11 @@ class Clock(NamedTuple):
             )
 
 
-def clock(columns: Sequence[int], cells: Sequence[str], name: str, unit: str | None) -> Clock:
-    """The clock of columns with these first cells.
+def kind(cell: str) -> Kind:
+    """The format of a column of time stamps, from its first cell.
 
     Raises ``GyroLogError`` for dates in another format.
     """
-    if len(columns) > 1:
-        return Clock(columns, ["int"] * len(columns), name, "ns", "parts in s and ns")
-    if (how := _kind(cells[0])) == "date":
-        return Clock(columns, [how], name, "ns", "dates")
-    return Clock(columns, [how], name, unit)
-
-
-def _kind(cell: str) -> Kind:
-    """The format of a column of time stamps, from its first cell."""
     for what, pattern in _OTHER_DATES.items():
         if pattern.fullmatch(cell):
             raise GyroLogError(

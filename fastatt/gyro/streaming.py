@@ -172,20 +172,18 @@ class GyroIntegrator:
             numbers = checks.array("rates", values, accepted)
             precision = self._precision or checks.precision(None, values)
             samples = numbers.astype(precision).reshape(n_logs, -1, 3)
-            # the very first rate ends no interval
-            extra = not (self._pending or self._increments)
             is_mean = are_means(values, dt)
             if is_log and self._pending and is_mean != self._means:
                 raise ValueError(
                     "rates: found a log of other values than those before; accepted: means after "
                     "means, samples after samples"
                 )
-            begins_means = bool(extra and is_mean)
-            extra = extra and not begins_means
+            is_first = not (self._pending or self._increments)
+            extra = is_first and not is_mean  # the very first rate ends no interval
             spans = self._intervals(dt, samples.shape[1] - extra, precision)
             before = self.__dict__.copy()
             try:
-                if begins_means:
+                if is_first and is_mean:
                     self._method = method_of(self._method.name, increments=True)
                     self._increments = self._means = True
                 if self._means:
@@ -279,12 +277,11 @@ class GyroIntegrator:
 
     def _intervals(self, dt: ArrayLike | None, count: int, precision: np.dtype[Any]) -> Any:
         """The interval, or ``count`` intervals."""
-        is_fixed = self._dt is not None
-        if is_fixed and dt is None:
+        if self._dt is not None and dt is None:
             return precision.type(self._dt)
-        if is_fixed or (dt is None and count):
+        if self._dt is not None or (dt is None and count):
             accepted = f"a number or ({count},), the intervals that end at these samples"
-            if is_fixed:
+            if self._dt is not None:
                 accepted = f"None, all intervals are {self._dt} s"
             raise ValueError(f"dt: found {checks.brief(dt)}; accepted: {accepted}")
         if dt is None:
