@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from each import each
+from each import each, in_tiers
 from ways import DT, OWN, Q0, RATE, RNG, STEPS, TORQUED, W0, WAYS, N, given
 
 import fastatt as fa
@@ -151,7 +151,11 @@ def test_parts_are_the_whole(way, monkeypatch):
     assert of(run(way, save_every=32)) == whole
 
 
-@pytest.mark.parametrize("way", [way for way in STEPPED if "compensated" not in WAYS[way][1]])
+OF_EACH = [way for way in STEPPED if "compensated" not in WAYS[way][1]]
+OFTEN = ["rate", "rk4", "rk4, matrices", "splitting", "clocks", "breakpoints", "switches", "events"]
+
+
+@pytest.mark.parametrize("way", in_tiers(OFTEN, OF_EACH))
 def test_steps_of_each_bodys_own(way, monkeypatch):
     """What each does alone, whatever its neighbours' steps; at saves on its own grid too."""
     counts = RNG.integers(20, 90, size=N)
