@@ -64,6 +64,8 @@ class Program(TwoForms):
         }  # fmt: skip
         #: which of these belong to events, and are not known to a run that is resumed with others
         self.is_of_events = np.repeat([x in event_groups for x in self.kept], [*self.kept.values()])
+        #: the columns of the others
+        self.of_steps = np.flatnonzero(~self.is_of_events)
         handed_out = max(job.handed_out + 1, job.initial)
         self.rows = _firsts(**self.kept, c=len(precisions) - sum(is_wide), io=handed_out)
         p = 0 if job.shared else parameters

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from sys import getsizeof
@@ -39,9 +39,7 @@ class Crossings(list[tuple[int, Array, Array, Array]]):
     and values as those of a save.
     """
 
-    def __init__(self, parts: Iterable[tuple[int, Array, Array, Array]] = ()) -> None:
-        super().__init__(parts)
-        self._bytes, self._checked = 0, memory.LITTLE
+    _bytes, _checked = 0, memory.LITTLE
 
     def keep(self, which: int, bodies: Array, times: Array, saved: Array) -> None:
         """Keep a part; raises ``MemoryError``, with the size, before they fill the memory."""
@@ -174,11 +172,11 @@ class Run:
 
     def _resume(self, kept: Mapping[str, Array]) -> None:
         """Go on from what another run kept."""
-        self.states[:, ~self.setup.program.is_of_events] = kept["states"]
+        self.states[:, self.setup.program.of_steps] = kept["states"]
 
     def kept(self) -> dict[str, Array]:
         """Copies of what another run needs to go on from here."""
-        return {"states": self.states[:, ~self.setup.program.is_of_events]}
+        return {"states": self.states.take(self.setup.program.of_steps, axis=1)}
 
     @property
     def squares(self) -> Array:

@@ -409,7 +409,7 @@ class Plan:
         """The shapes of the arrays from which another run goes on."""
         assert self.program is not None
         n, of_events = self.n_bodies, self.program.is_of_events
-        shapes: dict[str, tuple[int, ...]] = {"states": (n, int((~of_events).sum()))}
+        shapes: dict[str, tuple[int, ...]] = {"states": (n, self.program.of_steps.size)}
         if self._watched:
             shapes |= {
                 "of_events": (n, int(of_events.sum())), "stopped": (n,),
