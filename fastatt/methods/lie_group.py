@@ -1,4 +1,4 @@
-"""Lie-group methods for a prescribed rate, which are defined by their exponents.
+"""Lie-group methods, which are defined by their exponents.
 
 Such a method only rotates its state, q∘exp(u1)∘exp(u2)…, so that it stays a rotation by
 construction. Iserles, Munthe-Kaas, Nørsett and Zanna, *Acta Numerica* 9 (2000) 215.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache, reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,10 +94,30 @@ def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callab
     return step
 
 
+def body_step(stages: Callable[..., Any]) -> Callable[..., Any]:
+    """The step of ``stages(slope, t, h, m) -> ((u1, u2, …), d)``, as in :func:`lie_group`."""
+
+    def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+        start, rates = motion.attitude.value(motion.attitude_of(x)), []
+
+        def slope(at: Any, exponents: Any, m: Any) -> tuple[Vector, Vector]:
+            attitude = reduce(motion.plain.rotate, map(tuple, exponents), start)
+            rates.append(motion.angular_velocity(tuple(m)))
+            return rates[-1], motion.momentum_rate(at, attitude, tuple(m))
+
+        exponents, change = stages(slope, t, h, motion.momentum_of(x)[:3])
+        exponents = [tuple(u) for u in exponents]
+        end = reduce(motion.turned, exponents, motion.attitude_of(x))
+        momentum = motion.attitude.add_vector(motion.momentum_of(x), tuple(change))
+        return (*end, *momentum), turn_of_sum(exponents, rates, h)
+
+    return step
+
+
 def lie_method(
     name: str,
     order: int,
-    exponents: Callable[..., Any],
+    exponents: Callable[..., Any] | None,
     *,
     turns: Callable[..., Any] = turn_of_sum,
     body: Callable[..., Any] | None = None,
@@ -108,14 +128,14 @@ def lie_method(
 ) -> Method:
     """Record of a method that rotates the state by its exponents; ``body`` steps bodies."""
     steps = Steps(
-        rate=lie_step(exponents, turns),
+        rate=None if exponents is None else lie_step(exponents, turns),
         constant=one_exponential if exact_for_constant else None,
         body=body,
     )
     return Method(
         name=name,
         order=order,
-        scenes=("rate",) if body is None else ("rate", *BODIES),
+        scenes=("rate",) * (exponents is not None) + BODIES * (body is not None),
         uses=("rotate",),
         conserves=("norm",),
         limits={**dict.fromkeys(FAMILIES, limit), BODY: body_limit},
@@ -127,12 +147,17 @@ def lie_method(
 
 
 def lie_group(
-    name: str, *, order: int, exponents: Callable[..., Any], limit: float = 1.0
+    name: str,
+    *,
+    order: int,
+    exponents: Callable[..., Any] | None = None,
+    body: Callable[..., Any] | None = None,
+    limit: float = 1.0,
 ) -> Method:
-    """Define a Lie-group method for prescribed rates.
+    """Define a Lie-group method for prescribed rates, rigid bodies or both.
 
-    The step is q∘exp(u1)∘exp(u2)…, with exponents that a function computes from the rate. The
-    method is accepted wherever a method's name is.
+    The step is q∘exp(u1)∘exp(u2)…, with exponents that a function computes. The method is accepted
+    wherever a method's name is.
 
     Parameters
     ----------
@@ -140,11 +165,16 @@ def lie_group(
         Name of the method.
     order : int
         Declared order, which :func:`check_convergence` compares with the measured one.
-    exponents : callable
-        ``f(w, t, h) -> (u1, u2, …)``, rotation vectors along body axes, rad, as tuples of three.
-        w(t) is the rate, rad/s, t the time at the start of the step, s, and h the step size, s. The
-        function is always followed: it may use arithmetic, ``a if c else b``, ``math`` and the
-        kernels of :mod:`fastatt.kernels`.
+    exponents : callable, optional
+        ``f(w, t, h) -> (u1, u2, …)`` for prescribed rates: rotation vectors along body axes, rad,
+        as tuples of three. w(t) is the rate, rad/s, t the time at the start of the step, s, and h
+        the step size, s. The function is always followed: it may use arithmetic, ``a if c else b``,
+        ``math`` and the kernels of :mod:`fastatt.kernels`.
+    body : callable, optional
+        ``f(slope, t, h, m) -> ((u1, u2, …), d)`` for rigid bodies, followed too: the exponents, and
+        the change d of the momentum m along body axes, N·m·s. ``slope(at, (u1, …), m)`` returns the
+        angular velocity, rad/s, and dm/dt = m×w + τ, N·m, of a body with momentum m at a time,
+        after rotations by exponents from the start of the step, () for none.
     limit : float, default 1.0
         Largest ``|w| h`` of a step, rad; beyond it the status is ``STEP_TOO_LARGE``.
 
@@ -156,7 +186,8 @@ def lie_group(
     Raises
     ------
     TypeError, ValueError
-        If an argument does not fit, or if the exponents do not add up to h w at a constant rate.
+        If an argument does not fit, or if the exponents do not add up to h w at a constant rate
+        and d is not h dm/dt at a constant one.
 
     Examples
     --------
@@ -169,65 +200,101 @@ def lie_group(
     >>> fa.propagate(scene, [1, 0, 0, 0], dt=0.01, n_steps=100, method=mine).method
     'mine'
     """
-    if not callable(exponents):
-        raise TypeError(f"exponents: found {checks.brief(exponents)}; accepted: a function")
-    found_limit = checks.above_zero("limit", limit, "above 0, rad")
-    try:
-        formula = traceable(exponents)
-        rate_calls, exponentials, within = _recorded(formula)
-    except (TraceError, RefusedError) as error:
-        raise TypeError(f"exponents: {error}; accepted: f(w, t, h) -> (u1, u2, …)") from error
+    if exponents is None and body is None:
+        raise TypeError("exponents, body: found neither; accepted: one of them, or both")
+    largest = checks.above_zero("limit", limit, "above 0, rad")
+    of_rate = None if exponents is None else _recorded("exponents", exponents)
+    of_body = None if body is None else _recorded("body", body)
+    records = [record for record in (of_rate, of_body) if record]
     return lie_method(
         named(name),
         checks.whole("order", order, 1),
-        formula,
-        rate_calls=rate_calls,
-        exponentials=exponentials,
-        within=within,
-        limit=found_limit,
+        of_rate and of_rate.formula,
+        body=of_body and body_step(of_body.formula),
+        rate_calls=records[0].calls,
+        body_calls=records[-1].calls,
+        exponentials=max(record.exponentials for record in records),
+        within=all(record.within for record in records),
+        limit=largest,
+        body_limit=largest,
         exact_for_constant=False,
         source="user-defined",
         summary="user-defined",
     )
 
 
-def _recorded(formula: Callable[..., Any]) -> tuple[int, int, bool]:
-    """How often exponents evaluate the rate, how many there are, and whether within the step only.
+#: what the functions of :func:`lie_group` return, by its arguments
+_ACCEPTED = {
+    "exponents": "f(w, t, h) -> (u1, u2, …), each of three numbers",
+    "body": "f(slope, t, h, m) -> ((u1, u2, …), d), each of three numbers",
+}
 
-    Raises ``ValueError`` if the function does not return a tuple of exponents, or if they do not
-    add up to the rotation of a step at a constant rate, which order 1 requires.
+
+class _Recorded(NamedTuple):
+    """A function as traced: evaluations, exponentials, and whether all are within the step."""
+
+    formula: Callable[..., Any]
+    calls: int
+    exponentials: int
+    within: bool
+
+
+def _recorded(name: str, definition: Any) -> _Recorded:
+    """Trace a function of :func:`lie_group`, named by its argument.
+
+    Raises ``TypeError`` if it cannot be followed, and ``ValueError`` if it does not return
+    exponents and, of a body, a change, or if at constant rates they are not those of a step, which
+    order 1 requires.
     """
-    graph = Graph()
+    if not callable(definition):
+        raise TypeError(f"{name}: found {checks.brief(definition)}; accepted: a function")
+    graph, of_body = Graph(), name == "body"
+    w, n, m = (graph.inputs("double", letter, 3) for letter in "wnm")
     asked: list[Any] = []
 
-    def rate(at: Any) -> Vector:
+    def rate(at: Any, *_: Any) -> Any:
         asked.append(at)
-        return graph.inputs("double", "w", 3)
+        return (w, n) if of_body else w
 
-    exponents = formula(rate, graph.input("double", "t"), graph.input("double", "h"))
-    fits = isinstance(exponents, (tuple, list)) and all(
+    try:
+        formula = traceable(definition)
+        step = graph.input("double", "t"), graph.input("double", "h")
+        returned = formula(rate, *step, m) if of_body else formula(rate, *step)
+    except (TraceError, RefusedError) as error:
+        raise TypeError(f"{name}: {error}; accepted: {_ACCEPTED[name]}") from error
+    pair = of_body and isinstance(returned, (tuple, list)) and len(returned) == 2
+    exponents, changes = (returned[0], [returned[1]]) if pair else (returned, [])
+    is_listed = isinstance(exponents, (tuple, list)) and bool(exponents) and pair == of_body
+    if not asked or not is_listed or not all(map(_is_vector, [*exponents, *changes])):
+        raise ValueError(
+            f"{name}: found a function that gives no tuple of exponents made from "
+            f"{'slope' if of_body else 'w(t)'}; accepted: {_ACCEPTED[name]}"
+        )
+    results = *plus(*map(tuple, exponents)), *(x for change in changes for x in change)
+    total = Flat(graph, (*results, *asked), "double")
+    numbers = (0.3, -0.5, 0.7, 0.2, 0.4, -0.6, 0.1, 0.2, 0.3)
+    slopes = numbers[: len(results)]
+    letters = [(letter, k) for letter in "wnm" for k in range(3)]
+    values: dict[Any, float] = {**dict(zip(letters, numbers, strict=True)), ("t",): 0.4}
+    for h in (1e-6, 1e-2, 1.0):  # what a higher power of h adds is large in large steps
+        values["h",] = h
+        outputs = function(total)(*(values[key] for key in total.inputs()))
+        ends, times = outputs[: len(results)], outputs[len(results) :]
+        if not all(abs(a - h * b) <= 1e-9 * h for a, b in zip(ends, slopes, strict=True)):
+            sums = tuple(float(round(x / h, 9)) for x in ends)
+            raise ValueError(
+                f"{name}: at the constant rate {slopes[:3]} they add up to h {sums[:3]}"
+                + f", and d at dm/dt = {slopes[3:]} is h {sums[3:]}" * of_body
+                + f"; accepted: h w{' and h dm/dt' * of_body} (with h = {h})"
+            )
+    shares = [(time - values["t",]) / values["h",] for time in times]
+    within = all(-1e-6 < share < 1.0 + 1e-6 for share in shares)
+    return _Recorded(formula, len(asked), len(exponents), within)
+
+
+def _is_vector(u: Any) -> bool:
+    return (
         isinstance(u, (tuple, list))
         and len(u) == 3
         and all(isinstance(x, (Number, float, int)) for x in u)
-        for u in exponents
     )
-    if not fits or not exponents or not asked:
-        raise ValueError(
-            "exponents: found a function that gives no tuple of exponents made from w(t); "
-            "accepted: f(w, t, h) -> (u1, u2, …), each of three numbers"
-        )
-    total = Flat(graph, (*plus(*map(tuple, exponents)), *asked), "double")
-    values = {("w", 0): 0.3, ("w", 1): -0.5, ("w", 2): 0.7, ("t",): 0.4}
-    for h in (1e-6, 1e-2, 1.0):  # what a higher power of h adds is large in large steps
-        values["h",] = h
-        turned = function(total)(*(values[name] for name in total.inputs()))
-        turned, times = turned[:3], turned[3:]
-        wanted = [h * values["w", k] for k in range(3)]
-        if not all(abs(a - b) <= 1e-9 * h for a, b in zip(turned, wanted, strict=True)):
-            rates = tuple(float(round(x / h, 9)) for x in turned)
-            raise ValueError(
-                f"exponents: at the constant rate (0.3, -0.5, 0.7) they add up to h {rates}; "
-                f"accepted: h w (with h = {h})"
-            )
-    shares = [(time - values["t",]) / values["h",] for time in times]
-    return len(asked), len(exponents), all(-1e-6 < share < 1.0 + 1e-6 for share in shares)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from each import each
-from exact import RALSTON3, START, angle, generic, observed_order
+from exact import RALSTON3, START, angle, body_motion, generic, matrix, observed_order
 from numba import njit
 
 import fastatt as fa
@@ -64,6 +64,44 @@ def halves(w, t, h):
 SIMPSON = fa.lie_group("simpson", order=2, exponents=simpson)
 GAUSS = fa.lie_group("gauss", order=4, exponents=gauss, limit=2.0)
 HALVES = fa.lie_group("halves", order=2, exponents=halves)
+
+
+def munthe_kaas(slope, t, h, m):
+    """Munthe-Kaas's method of order 4 on attitude and momentum."""
+    vec3, so3 = fa.kernels.vec3, fa.kernels.so3
+
+    def stage(share, w, change):
+        u = vec3.scale(share * h, w)
+        w, change = slope(t + share * h, (u,), vec3.axpy(share * h, change, m))
+        return so3.dexpinv(u, w), change
+
+    first = slope(t, (), m)
+    second = stage(0.5, *first)
+    third = stage(0.5, *second)
+    stages = zip(first, second, third, stage(1.0, *third), strict=True)
+    u, d = (
+        tuple(h / 6.0 * (a + 2.0 * (b + c) + d) for a, b, c, d in zip(*each, strict=True))
+        for each in stages
+    )
+    return (u,), d
+
+
+def midpoint_twice(slope, t, h, m):
+    """Two exponentials, each with the momentum and the rate of its half's middle: of order 2."""
+    scale, axpy = fa.kernels.vec3.scale, fa.kernels.vec3.axpy
+    w, change = slope(t, (), m)
+    u, middle = scale(0.25 * h, w), axpy(0.25 * h, change, m)
+    w, change = slope(t + 0.25 * h, (u,), middle)
+    u, half = scale(0.5 * h, w), axpy(0.5 * h, change, m)
+    w, change = slope(t + 0.5 * h, (u,), half)
+    v, middle = scale(0.25 * h, w), axpy(0.25 * h, change, half)
+    w, change = slope(t + 0.75 * h, (u, v), middle)
+    end = axpy(0.5 * h, change, half)
+    return (u, scale(0.5 * h, w)), tuple(a - b for a, b in zip(end, m, strict=True))
+
+
+BODY4 = fa.lie_group("body4", order=4, body=munthe_kaas)
+BODY2 = fa.lie_group("body2", order=2, body=midpoint_twice, exponents=halves)
 EXPLICIT = [KUTTA38, RALSTON3, HEUN2, EULER1]
 LIE = [SIMPSON, GAUSS, HALVES]
 LADDER = np.array([12, 18, 24, 36, 48, 72, 96, 144, 192, 288, 384, 576, 768, 1500, 3000])
@@ -90,6 +128,32 @@ START4, SPIN4 = np.tile(START, (4, 1)), np.tile(SPIN, (4, 1))
 def test_order_at_given_rates(method, representation):
     found = observed_order(lambda n: rate_error(method, n, representation), SPAN, ladder=LADDER)
     assert found == pytest.approx(method.order, abs=0.25)
+
+
+@each("method", [BODY4, BODY2])
+def test_order_of_bodies(method):
+    """A heavy body with a full tensor of inertia, against DOP853."""
+    arm, tensor = np.array([0.3, 0.1, 0.2]), [[1.0, 0.1, 0.0], [0.1, 0.8, -0.05], [0.0, -0.05, 0.7]]
+    scene = fa.Scene(inertia=tensor, torque=fa.torques.HeavyTop(arm, 2.0))
+
+    def torque(t, q, w, y):
+        return np.cross(arm, matrix(q).T @ (0.0, 0.0, -2.0))
+
+    end = body_motion(tensor, torque, np.concatenate([START, SPIN]), 0.0, SPAN)
+
+    def error(n):
+        state = run(scene, method, n, q0=START, w0=SPIN)
+        return angle(state.q[-1], end[:4]) + np.linalg.norm(state.w[-1] - end[4:])
+
+    found = observed_order(error, SPAN, floor=1e-11, ladder=LADDER)
+    assert found == pytest.approx(method.order, abs=0.25)
+
+
+def test_a_body_method_of_ones_own_is_that_of_the_library():
+    scene = fa.Scene(inertia=INERTIA, torque=fa.torques.Damping(0.1))
+    own, built_in = (run(scene, x, 60, q0=START4, w0=SPIN4) for x in (BODY4, "rkmk4"))
+    assert angle(own.q[-1], built_in.q[-1]).max() < 1e-14
+    assert np.abs(own.w[-1] - built_in.w[-1]).max() < 1e-14
 
 
 @each("method", [KUTTA38, GAUSS])

@@ -119,6 +119,14 @@ REFUSED = [
     *[("exponents: ", group(x), TypeError)
      for x in (endless, lambda w, t: (w(t),), lambda w, t, h: (np.linalg.det(w(t)),))],
     ("exponents: found 3; accepted: a function", group(3), TypeError),
+    ("exponents, body: found neither", group(None), TypeError),
+    ("body: found 3; accepted: a function", group(body=3), TypeError),
+    *[("body: found a function that gives no tuple of exponents", group(body=x))
+      for x in (lambda s, t, h, m: s(t, (), m), lambda s, t, h, m: (s(t, (), m), m, m),
+                lambda s, t, h, m: ((m,), m))],
+    ("body: at the constant rate (0.3, -0.5, 0.7) they add up to h (0.3, -0.5, 0.7), and d at",
+     group(body=lambda s, t, h, m: (
+         (vec3.scale(h, s(t, (), m)[0]),), vec3.scale(2.0 * h, s(t, (), m)[1])))),
     ("order: found 0; accepted: a whole number of at least 1", group(order=0)),
     ("limit: found 0.0; accepted: above 0, rad", group(limit=0.0)),
     ("limit: found nan", group(limit=math.nan)),
