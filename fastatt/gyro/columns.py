@@ -304,7 +304,9 @@ def rate_unit(
     said = {known.unit: known.unit} if known else rates or words
     one = next(iter(said.values())) if len(set(said.values())) == 1 else None
     # a word in brackets may be no unit, and revolutions and radians both begin with r
-    is_open = said and (one == "rps" or (not rates and not any(map(_is_no_rate, words))))
+    is_open = said and (
+        one == "rps" or (not rates and not any(_NO_RATES.fullmatch(u.lower()) for u in words))
+    )
     if said and one not in units and not (unit and is_open):
         more = "" if one not in ANGLES else ' (values="increments" reads angle increments)'
         raise GyroLogError(
@@ -323,10 +325,6 @@ def rate_unit(
 def is_unit(text: str) -> bool:
     """Whether a text is an angle per time, or an angle."""
     return _RATE.fullmatch(text.strip("[( )]").lower()) is not None
-
-
-def _is_no_rate(unit: str) -> bool:
-    return _NO_RATES.fullmatch(unit.lower()) is not None
 
 
 def _is_increment(name: str) -> bool:

@@ -90,10 +90,9 @@ def advance(
     window, count = samples.method.window, out.shape[1] - 1
     rest = count % window.span if window.iteration else 0
     whole = count - rest
+    seen = _through_windows(samples, out[:, : whole + 1], q, phase, n_threads) if whole else 0.0
     if not rest:
-        return _through_windows(samples, out, q, phase, n_threads) if whole else 0.0
-    if whole:
-        _through_windows(samples, out[:, : whole + 1], q, phase, n_threads)
+        return seen
     _finish(samples, out[:, whole:])
     return np.inf
 

@@ -249,6 +249,17 @@ def test_constant_rate_is_exact_at_any_angle_with_any_intervals(method, incremen
 
 
 @on_representatives
+@pytest.mark.filterwarnings("ignore::fastatt.StepWarning")
+def test_what_lanes_held_before_changes_no_bit(method, increments):
+    options = {"method": method, "increments": increments}
+    before = fa.integrate_rates(0.1 * LOG[:61], 0.1, **options)
+    for value in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="accepted: "):
+            fa.integrate_rates(np.full((20, 97, 3), value), 0.1, n_threads=1, **options)
+        assert same(before, fa.integrate_rates(0.1 * LOG[:61], 0.1, **options))
+
+
+@on_representatives
 def test_logs_of_their_own_intervals_and_lengths_are_single_logs(method, increments):
     rng = np.random.default_rng(6)
     spans = rng.uniform(0.01, 0.02, (3, 130 + increments))
