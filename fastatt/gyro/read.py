@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastatt import checks
+from fastatt import checks, rounding
 from fastatt.gyro import columns as names
 from fastatt.gyro import stamps
 from fastatt.gyro.columns import ACCEL_UNITS, ANGLES, UNITS
@@ -331,12 +330,8 @@ def _check(table: Table, kept: int, bad: list[str], n: int) -> None:
     if kept < 2:
         raise GyroLogError(f"found {kept} of {n} rows that are samples; accepted: at least two")
     if n - kept > _MANY * n:
-        counts = "; ".join(bad)
-        warnings.warn(
-            f"{table.name}: {n - kept} of {n} rows are left out ({counts})",
-            GyroLogWarning,
-            stacklevel=3,
-        )
+        text = f"{table.name}: {n - kept} of {n} rows are left out ({'; '.join(bad)})"
+        rounding.warn(text, GyroLogWarning)
 
 
 def _log(
@@ -351,10 +346,10 @@ def _log(
     if step:
         dt[:] = step
     rate = 1.0 / float(np.mean(dt[dt <= REGULAR * np.median(dt)]))
-    if values != "samples":
-        rows = rows if step else rows[1:]
     if values != "samples" and step:
         times, dt = np.append(0.0, times + step), np.append(step, dt)
+    elif values != "samples":
+        rows = rows[1:]
     measured = {name: x if len(rows) == len(x) else x[rows] for name, x in numbers.items()}
     if values == "increments":
         measured["gyro"] /= dt[:, None]
