@@ -19,6 +19,11 @@ START = np.array([0.6, 0.5, -0.4, 0.48])  # an attitude away from every chart's 
 START /= np.linalg.norm(START)
 
 
+def same(a, b):
+    """Every bit of two arrays: NaN equals NaN, 0 does not equal −0."""
+    return a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes()
+
+
 # quaternions (..., 4), scalar first, from the definitions
 
 

@@ -59,7 +59,7 @@ def _here():
 @pytest.fixture(scope="module")
 def client():
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster) as client,
     ):
         yield client
@@ -143,6 +143,7 @@ def kill_first(block, marker):
     return block
 
 
+@pytest.mark.slow
 def test_a_killed_worker_changes_nothing(client, tmp_path):
     marker = tmp_path / "died"
     q0 = da.from_array(Q0, chunks=(10, -1)).map_blocks(kill_first, marker, meta=Q0[:0])

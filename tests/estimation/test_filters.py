@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy
-from exact import START, Motion, angle, attitude, conj, exp, matrix, mul
+from exact import EPS, START, Motion, angle, attitude, conj, exp, matrix, mul
 from numba import njit
 
 import fastatt as fa
 from fastatt import estimation as es
 from fastatt.estimation import mean_attitude
 from fastatt.interchange import from_scipy
-
-EPS = 2.0**-52
 
 # the spacecraft: coning at 0.6 rad and 0.3 rad/s on top of a slow turn
 N, H, SAMPLES = 200, 0.1, 300

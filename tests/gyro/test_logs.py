@@ -10,12 +10,12 @@ import time
 import numpy as np
 import pytest
 from each import each
+from exact import EPS
 
 from fastatt.gyro.attitudes import write_attitudes
 from fastatt.gyro.log import GyroLogError
 from fastatt.gyro.read import read_gyro_log
 
-EPS = 2.0**-52
 RAD = "wx [rad/s],wy [rad/s],wz [rad/s]"
 DEG = math.radians(1.0)
 RATES = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [-0.7, 0.8, -0.9]])

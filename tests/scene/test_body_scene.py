@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from each import in_tiers
-from exact import EPS, LENGTHY, START, angle, exp, mul
+from exact import EPS, LENGTHY, START, angle, exp, mul, same
 
 import fastatt as fa
 from fastatt.propagation.choice_of_method import methods_for
@@ -81,11 +81,6 @@ every_method = pytest.mark.parametrize(
 def run(scene, q0=Q0, w0=W0, method="rk4", representation="quat", n=STEPS, h=H, **options):
     options = {"method": method, "representation": representation, **options}
     return fa.propagate(scene, q0, w0, dt=h, n_steps=n, **options)
-
-
-def same(a, b):
-    """Every bit: NaN equals NaN, 0 does not equal −0."""
-    return a.shape == b.shape and a.dtype == b.dtype and a.tobytes() == b.tobytes()
 
 
 def gap(a, b):

@@ -9,6 +9,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from each import each
+from exact import same
 
 import fastatt as fa
 from fastatt.scene.models import Model, Sum
@@ -87,10 +88,6 @@ every_scene = pytest.mark.parametrize("name", SCENES)
 
 def copies(arrays):
     return [a.copy() for a in arrays]
-
-
-def same(a, b):
-    return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
 
 
 def numbers(scene):

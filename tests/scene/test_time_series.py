@@ -8,6 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from each import each
+from exact import EPS
 
 import fastatt as fa
 from fastatt.attitudes import QUATERNION
@@ -17,7 +18,6 @@ from fastatt.scene import forces, models, torque_record, torques
 from fastatt.scene.torque_record import CoupledStates, Pose, pack
 from fastatt.tracing.user import user_function
 
-EPS = np.finfo(np.float64).eps
 RNG = np.random.default_rng(5)
 FREQUENCY = np.array([1.0, 2.0, 3.0])
 Q0, W0 = (0.5, 0.5, -0.5, 0.5), (0.3, -0.2, 0.4)

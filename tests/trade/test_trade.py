@@ -39,7 +39,7 @@ def samples():
     return ensembles.study("samples", 32).rows(Case("previous"), (120, 240))
 
 
-@pytest.fixture(scope="module", params=BODIES)
+@pytest.fixture(scope="module", params=in_tiers(["free", "torqued"], BODIES))
 def name(request):
     return request.param
 
@@ -268,15 +268,13 @@ def read(path):
 
 
 FILES = {"summary.md", "trade.csv", "drift.csv"}
-
-
 METHODS = BODIES | {"coning": ("lie_midpoint", "magnus4"), "samples": ("previous",)}
-COMMANDS = [(("samples", "free"),), (("coning",),), (("top",),), (("torqued",),)]
+COMMANDS = [("free",), ("coning", "samples"), ("top",), ("torqued",)]
 
 
-@pytest.mark.parametrize("verbose", [False, pytest.param(True, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("scenes", in_tiers(COMMANDS[:1], COMMANDS))
-def test_command(tmp_path, capsys, scenes, verbose):
+@pytest.mark.parametrize("scenes", in_tiers([(("free",),)], [(x,) for x in COMMANDS]))
+def test_command(tmp_path, capsys, scenes):
+    verbose = scenes in (("top",), ("torqued",))
     methods = {(scene, method) for scene in scenes for method in METHODS[scene]}
     arguments = [f"--scene={scene}" for scene in scenes] + ["--verbose"] * verbose
     arguments += ["--quick", "--bodies=6", f"--methods={','.join(m for _, m in methods)}"]
