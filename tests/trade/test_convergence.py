@@ -51,18 +51,19 @@ def stale(w, t, h):
 
 
 # RK4 with one weight too large by 2 %
-HEAVY = Tableau(
+TABLEAU = Tableau(
     order=4,
     c=(0.0, 0.5, 0.5, 1.0),
     a=((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
     b=(1 / 6, 2.04 / 6, 2 / 6, 1 / 6),
 )
+HEAVY = Steps(body=stepped(TABLEAU, first_turn=False))
 
 
 BROKEN = {
     "sign": (fa.lie_group("new", order=4, exponents=wrong_sign), TURNED),
     "stale rate": (fa.lie_group("new", order=4, exponents=stale), TURNED),
-    "weight": (replace(fa.METHODS["rk4"], name="new", steps=Steps(body=stepped(HEAVY))), SPUN),
+    "weight": (replace(fa.METHODS["rk4"], name="new", steps=HEAVY), SPUN),
 }
 
 
