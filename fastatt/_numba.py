@@ -143,31 +143,9 @@ def replacing(operations: Mapping[Any, Any], counted: Any) -> type:
     ``operations`` are those of whole numbers, by functions of ``operator``, and ``counted`` gives
     the number of rounds of a function's loops after the next one.
     """
-    from numba.core import ir as numba_ir
-    from numba.core.analysis import compute_cfg_from_blocks
     from numba.core.compiler import CompilerBase, DefaultPassBuilder
     from numba.core.compiler_machinery import FunctionPass, register_pass
-    from numba.core.ir_utils import mk_unique_var
     from numba.core.typed_passes import PreLowerStripPhis
-
-    def called(state: Any, block: Any, place: int, function: Any, *args: Any) -> Any:
-        """A call of a jitted function, which is read before a statement of a block."""
-        name, loc, kind = mk_unique_var("function"), block.loc, typeof(function)
-        read = numba_ir.Var(block.scope, name, loc)
-        block.body.insert(place, numba_ir.Assign(numba_ir.Global(name, function, loc), read, loc))
-        call, of = numba_ir.Expr.call(read, args, (), loc), [state.typemap[x.name] for x in args]
-        state.typemap[name] = kind
-        state.calltypes[call] = kind.get_call_type(state.typingctx, of, {})
-        return call
-
-    def replace_operations(state: Any, block: Any) -> None:
-        for x in [*block.body]:
-            e: Any = getattr(x, "value", None)
-            is_binary = isinstance(e, numba_ir.Expr) and e.op.endswith("binop")
-            of = state.calltypes[e].args if is_binary and e.fn in operations else [None]
-            if all(isinstance(kind, types.Integer) for kind in of):
-                place = block.body.index(x)
-                x.value = called(state, block, place, operations[e.fn], e.lhs, e.rhs)
 
     @register_pass(mutates_CFG=False, analysis_only=False)
     class Replaced(FunctionPass):  # type: ignore[misc]
@@ -177,18 +155,9 @@ def replacing(operations: Mapping[Any, Any], counted: Any) -> type:
             super().__init__()
 
         def run_pass(self, state: Any) -> bool:
-            blocks = state.func_ir.blocks
-            for block in blocks.values():
-                replace_operations(state, block)
-            first = blocks[min(blocks)]
-            rounds = numba_ir.Var(first.scope, mk_unique_var("rounds"), first.loc)
-            state.typemap[rounds.name] = types.int64
-            for loop in compute_cfg_from_blocks(blocks).loops().values():
-                block = blocks[loop.header]
-                call = called(state, block, 0, counted, rounds)
-                block.body.insert(1, numba_ir.Assign(call, rounds, block.loc))
-            none = numba_ir.Const(0, first.loc)
-            first.body.insert(0, numba_ir.Assign(none, rounds, first.loc))
+            for block in state.func_ir.blocks.values():
+                _replace(state, block, operations)
+            _count_rounds(state, counted)
             return True
 
     class Replacing(CompilerBase):  # type: ignore[misc]
@@ -199,6 +168,49 @@ def replacing(operations: Mapping[Any, Any], counted: Any) -> type:
             return [passes]
 
     return Replacing
+
+
+def _replace(state: Any, block: Any, operations: Mapping[Any, Any]) -> None:
+    """Replace the operations of whole numbers in a block."""
+    for x in [*block.body]:
+        e: Any = getattr(x, "value", None)
+        is_binary = getattr(e, "op", "").endswith("binop")
+        of = state.calltypes[e].args if is_binary and e.fn in operations else [None]
+        if all(isinstance(kind, types.Integer) for kind in of):
+            place = block.body.index(x)
+            x.value = _call(state, block, place, operations[e.fn], e.lhs, e.rhs)
+
+
+def _count_rounds(state: Any, counted: Any) -> None:
+    """Count the rounds of all loops in one variable."""
+    from numba.core import ir as numba_ir
+    from numba.core.analysis import compute_cfg_from_blocks
+    from numba.core.ir_utils import mk_unique_var
+
+    blocks = state.func_ir.blocks
+    first = blocks[min(blocks)]
+    rounds = numba_ir.Var(first.scope, mk_unique_var("rounds"), first.loc)
+    state.typemap[rounds.name] = types.int64
+    for loop in compute_cfg_from_blocks(blocks).loops().values():
+        block = blocks[loop.header]
+        call = _call(state, block, 0, counted, rounds)
+        block.body.insert(1, numba_ir.Assign(call, rounds, block.loc))
+    none = numba_ir.Const(0, first.loc)
+    first.body.insert(0, numba_ir.Assign(none, rounds, first.loc))
+
+
+def _call(state: Any, block: Any, place: int, function: Any, *args: Any) -> Any:
+    """A call of a jitted function, which is read before a statement of a block."""
+    from numba.core import ir as numba_ir
+    from numba.core.ir_utils import mk_unique_var
+
+    name, loc, kind = mk_unique_var("function"), block.loc, typeof(function)
+    read = numba_ir.Var(block.scope, name, loc)
+    block.body.insert(place, numba_ir.Assign(numba_ir.Global(name, function, loc), read, loc))
+    call, of = numba_ir.Expr.call(read, args, (), loc), [state.typemap[x.name] for x in args]
+    state.typemap[name] = kind
+    state.calltypes[call] = kind.get_call_type(state.typingctx, of, {})
+    return call
 
 
 # formulas that are written in place of calls, in code of users

@@ -208,27 +208,34 @@ class RowFunction:
             ]
         out = out or [np.empty((*lead, *_tail(n)), self._dtype) for n in self.outputs]
         if total:
-            shape = (-1, lead[-1] if lead else 1)
-            samples = total // shape[1]
+            rows = lead[-1] if lead else 1
+            shape = total // rows, rows
             results = [x.reshape(*shape, _count(n)) for x, n in zip(out, self.outputs, strict=True)]
-            sources = [_wide(x, (samples, shape[1], x.shape[-1])) for x in inputs]
-            sources, wide = joined(sources, INPUTS), joined(results, RESULTS)
-            last = wide[-1]
+            sources = [_wide(x, (*shape, x.shape[-1])) for x in inputs]
             read = {k: np.ascontiguousarray(x, dtype=np.float64) for k, x in (tables or {}).items()}
             whole = array("q", addresses(self._resources, read))
-            if shape[1] < self._made.shape.block and shape[1] < samples:
-                # a lane for each sample
-                sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
-                for b in range(shape[1]):
-                    one, to = ([x[b : b + 1] for x in each] for each in (sources, wide))
-                    self._run(one, to, whole, n_threads)
-            else:
-                self._run(sources, wide, whole, n_threads)
-            if len(results) > RESULTS:
-                ends = np.cumsum([x.shape[2] for x in results[RESULTS - 1 :]])[:-1]
-                for x, columns in zip(results[RESULTS - 1 :], np.split(last, ends, 2), strict=True):
-                    x[...] = columns
+            self._fill(results, joined(sources, INPUTS), whole, n_threads)
         return tuple(out)
+
+    def _fill(
+        self, results: list[Array], sources: list[Array], whole: array[int], n_threads: int
+    ) -> None:
+        """Fill results (S, B, k); those beyond ``RESULTS`` are computed side by side."""
+        wide, (samples, rows) = joined(results, RESULTS), results[0].shape[:2]
+        last = wide[-1]
+        if rows < self._made.shape.block and rows < samples:
+            # a lane for each sample
+            sources, wide = ([x.swapaxes(0, 1) for x in each] for each in (sources, wide))
+            for b in range(rows):
+                one, to = ([x[b : b + 1] for x in each] for each in (sources, wide))
+                self._run(one, to, whole, n_threads)
+        else:
+            self._run(sources, wide, whole, n_threads)
+        if len(results) > RESULTS:
+            beyond = results[RESULTS - 1 :]
+            ends = np.cumsum([x.shape[2] for x in beyond])[:-1]
+            for x, columns in zip(beyond, np.split(last, ends, 2), strict=True):
+                x[...] = columns
 
     def bound(self, arrays: Sequence[Array], out: Sequence[Array]) -> Callable[[], object]:
         """A function without arguments that works on the current contents of the arrays.

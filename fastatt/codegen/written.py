@@ -74,39 +74,48 @@ def _type_of_form(form: Any) -> Any:
 
 def numba_type(scalar: Any) -> Any:
     """The Numba type of a formula, which is written in place of a call."""
-    name = scalar.__name__
-    # Numba keeps the type, with all that it refers to
-    held: Any = weakref.proxy(scalar)
-    read: list[Any] = []  # tables and functions, whose addresses machine code has
+    formula = _Formula(scalar)
+    return written_type()(scalar.__name__, formula.typed, formula.written)
 
-    def forms_of(of: Sequence[Any]) -> tuple[Any, ...]:
-        pairs = zip(of, held.sizes, strict=False)
-        return tuple(_form_of_type(ty, name, n) for ty, n in pairs)
 
-    def traced(forms: tuple[Any, ...]) -> Traced:
+class _Formula:
+    """A formula as its type for Numba sees it."""
+
+    def __init__(self, scalar: Any) -> None:
+        self._name = scalar.__name__
+        # Numba keeps the type, with all that it refers to
+        self._scalar: Any = weakref.proxy(scalar)
+        #: tables and functions, whose addresses machine code has
+        self._read: list[Any] = []
+
+    def _traced(self, of: Sequence[Any]) -> tuple[tuple[Any, ...], Traced]:
+        """(forms of arguments of these types, the formula for them)."""
+        pairs = zip(of, self._scalar.sizes, strict=False)
+        forms = tuple(_form_of_type(ty, self._name, n) for ty, n in pairs)
         before = within_numba.set(True)
         try:
-            return held.traced(forms)  # type: ignore[no-any-return]
+            return forms, self._scalar.traced(forms)
         finally:
             within_numba.reset(before)
 
-    def typed(args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
+    def typed(self, args: Any, named: Any) -> tuple[Any, list[Any], inspect.Signature]:
+        """(type of the result, types of the arguments, the signature) of a call."""
+        parameters = self._scalar.parameters
         try:
-            bound = held.parameters.bind(*args, **named).args
-            of = [types.unliteral(ty) for ty in bound]
-            result = traced(forms_of(of)).form
+            of = [types.unliteral(ty) for ty in parameters.bind(*args, **named).args]
+            result = self._traced(of)[1].form
         except TypeError as error:
-            raise TypingError(f"{name}: {error}") from error
-        return _type_of_form(result), of, held.parameters
+            raise TypingError(f"{self._name}: {error}") from error
+        return _type_of_form(result), of, parameters
 
-    def written(context: Any, builder: Any, of: Sequence[Any], args: Sequence[Any]) -> Any:
-        forms = forms_of(of)
-        formula = traced(forms)
-        code = _Shielded(builder)
+    def written(self, context: Any, builder: Any, of: Sequence[Any], args: Sequence[Any]) -> Any:
+        """The result of a call."""
+        forms, formula = self._traced(of)
+        code, tables = _Shielded(builder), self._scalar.tables
         keys, pointers = formula.resources, {}
-        read.append((keys, held.tables if keys else None))
+        self._read.append((keys, tables if keys else None))
         never_kept(builder.module)
-        for key, address in zip(keys, addresses(keys, held.tables), strict=True):
+        for key, address in zip(keys, addresses(keys, tables), strict=True):
             pointers[key] = builder.inttoptr(ir.Constant(I64, address), POINTERS[key[0]])
         numbers: list[Any] = []
         for form, ty, x in zip(forms, of, args, strict=True):
@@ -120,8 +129,6 @@ def numba_type(scalar: Any) -> Any:
 
         results = Emitter(code, formula.lanes, pointers)(formula.flat, number)
         return _formed(context, builder, formula.form, iter(value for value, _ in results))
-
-    return written_type()(name, typed, written)
 
 
 def _numbers(builder: Any, form: Any, value: Any) -> Iterator[Any]:
