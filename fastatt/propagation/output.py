@@ -183,14 +183,15 @@ class InterruptedRun(KeyboardInterrupt):
 class Output:
     """The saves of a run: all in memory, or a few at a time, which ``takers`` are handed.
 
-    ``made`` is called with times and results for a trajectory.
+    ``trajectory_of`` is called with times and results for a trajectory.
     """
 
     def __init__(
         self, schedule: Schedule, times: NDArray[np.float64], arrays: Callable[[int], Results],
-        made: Callable[..., Trajectory], takers: Sequence[Callable[[Trajectory], object] | None],
+        trajectory_of: Callable[..., Trajectory],
+        takers: Sequence[Callable[[Trajectory], object] | None],
     ) -> None:  # fmt: skip
-        self._schedule, self._times, self._made = schedule, times, made
+        self._schedule, self._times, self._trajectory_of = schedule, times, trajectory_of
         self._takers = [take for take in takers if take is not None]
         self._file = next((x for x in self._takers if isinstance(x, History)), None)
         #: whether a few saves are in memory at a time
@@ -235,7 +236,7 @@ class Output:
         # flags and times of events change later
         new, self._crossed = Crossings(crossings[self._crossed :]), len(crossings)
         results = Results(saves[: end - first], status.copy(), event_times.copy(), new)
-        piece = self._made(self._times[first:end], results, q_before=self._last)
+        piece = self._trajectory_of(self._times[first:end], results, q_before=self._last)
         for take in self._takers:
             take(piece)
         self._last = piece.last_taken
@@ -248,28 +249,22 @@ class Output:
 
     def so_far(self) -> Trajectory | None:
         """The saves of an interrupted run; None of saves that a function has taken."""
-        if not self.is_ring:
-            return self._made(self._times, self.results)
-        if self._file is None:
+        if self._file is not None:
+            self.results.status[:] = Status.UNFINISHED
+        elif self.is_ring:
             return None
-        self.results.status[:] = Status.UNFINISHED
-        return self._filed(self._file.saves, None)
+        return self.trajectory(None)
 
     def trajectory(self, end: Any) -> Trajectory:
-        """The trajectory of a run: of all saves that are kept, or of the last."""
-        if self._file is not None:
-            return self._filed(len(self._times), end)
-        times, results = self._times, self.results
-        if self.is_ring:
+        """The trajectory of a run: of all saves that are kept so far, or of the last."""
+        times, results, file = self._times, self.results, self._file
+        if file is not None:
+            times, results = times[: file.saves], results._replace(saves=file.array[: file.saves])
+        elif self.is_ring:
             first, last = self.batches[-1]
             last -= first
             times, results = times[-1:], results._replace(saves=results.saves[last - 1 : last])
-        return self._made(times, results, end=end)
-
-    def _filed(self, saves: int, end: Any) -> Trajectory:
-        assert self._file is not None
-        results = self.results._replace(saves=self._file.array[:saves])
-        return self._made(self._times[:saves], results, end=end)
+        return self._trajectory_of(times, results, end=end)
 
 
 def check_room(shape: tuple[int, int, int], dtype: np.dtype[Any], file: Path | None = None) -> None:
