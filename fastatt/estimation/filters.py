@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -157,16 +157,6 @@ def mean_attitude(q: ArrayLike, weights: ArrayLike | None = None) -> Floats:
     return np.asarray(np.where(mean[..., :1] < 0.0, -mean, mean))
 
 
-class _Call(NamedTuple):
-    """An operation on a filter's arrays: its own numbers, shared numbers, two results."""
-
-    run: Callable[[], object]
-    own: Floats
-    shared: Floats
-    nis: Floats
-    nonlinearity: Floats
-
-
 class _Bound(NamedTuple):
     """A formula of rows, and the arrays that it reads and writes."""
 
@@ -194,18 +184,17 @@ class Estimates:
         self._P = _rows(P, (n, size, size))
         self._skips = checks.choice("invalid", invalid, ("raise", "skip")) == "skip"
         self._refused = np.zeros(n, dtype=np.int64)
-        self._calls: dict[str, _Call] = {}
         self._bounds: dict[str, _Bound] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_calls": {}, "_bounds": {}}
+        return {**self.__dict__, "_bounds": {}}
 
     def _each(self, rows: Floats) -> Floats:
         """The rows or, for one filter, its row."""
         return np.asarray(rows[0]) if self._one else rows
 
-    def _figures(self, found: Floats) -> Any:
-        return float(found[0]) if self._one else found
+    def _figures(self, numbers: Floats) -> Any:
+        return float(numbers[0]) if self._one else numbers
 
     def _vectors(self, name: str, value: ArrayLike) -> NDArray[Any]:
         """Vectors (3,) or (N, 3), which need not be finite if filters skip such measurements."""
@@ -219,27 +208,28 @@ class Estimates:
             raise ValueError(f"{name}{where} is the zero vector; accepted: any other")
         return rows
 
-    def _call(self, name: str, own: Floats | None = None) -> _Call:
-        """An operation of ``updates``, with an array ``own`` of each filter's numbers."""
-        call = self._calls.get(name)
-        if call is None:
-            n, formula = len(self._q), operation(name, self._y.shape[1])
-            own = np.empty((n, formula.inputs["own"] or 0)) if own is None else own
-            shared = np.empty((1, formula.inputs["shared"] or 0))
-            state, figures = [self._q, self._y, self._P.reshape(n, -1)], np.empty((2, n))
-            run = formula.bound([*state, own, shared], [*state, *figures][: len(formula.outputs)])
-            call = self._calls[name] = _Call(run, own, shared[0], *figures)
-        return call
-
-    def _bound(self, name: str, formula: RowFunction, state: list[Floats], n: int = 0) -> _Bound:
-        """A formula of rows on its own arrays, of which the first are ``state``; n rows if any."""
+    def _operation(self, name: str, *numbers: Floats) -> _Bound:
+        """An operation of ``updates``, with an array of each filter's numbers if it is kept."""
         if name in self._bounds:
             return self._bounds[name]
+        state = [self._q, self._y, self._P.reshape(len(self._q), -1)]
+        formula = operation(name, self._y.shape[1])
+        return self._bound(name, formula, [*state, *numbers], outputs=state)
+
+    def _bound(
+        self, name: str, formula: RowFunction, inputs: list[Floats], outputs: Sequence[Floats] = (),
+        n: int = 0,
+    ) -> _Bound:  # fmt: skip
+        """A formula of rows with its arrays, the first of which are given; n rows, or as filters.
+
+        ``inputs`` and ``outputs`` of the result are the others.
+        """
         n = n or len(self._q)
-        widths = [*formula.inputs.items()][len(state) :]
-        inputs = [np.empty((1 if key == "shared" else n, width or 1)) for key, width in widths]
-        outputs = [np.empty((n, width or 1)) for width in formula.outputs]
-        bound = _Bound(formula.bound([*state, *inputs], outputs), inputs, outputs)
+        widths = [*formula.inputs.items()][len(inputs) :]
+        read = [np.empty((1 if key == "shared" else n, width or 1)) for key, width in widths]
+        written = [np.empty((n, x)) if x else np.empty(n) for x in formula.outputs[len(outputs) :]]
+        run = formula.bound([*inputs, *read], [*outputs, *written])
+        bound = _Bound(run, read, written)
         if n <= _KEPT:
             self._bounds[name] = bound
         return bound
@@ -273,14 +263,15 @@ class Estimates:
             If a shape does not fit, or a measurement is not finite or zero and ``invalid`` is
             "raise".
         """
-        call = self._call("vector")
+        call = self._operation("vector")
+        (pair, shared), (nis, nonlinearity) = call.inputs, call.outputs
         seen = self._directions("measured", measured)
         known = self._directions("reference", reference)
         _warn_of_lengths(seen, known)
-        call.shared[:] = largest_square(gate), variance("sigma", sigma)
-        call.own[:, :3], call.own[:, 3:] = seen, known
+        shared[:] = largest_square(gate), variance("sigma", sigma)
+        pair[:, :3], pair[:, 3:] = seen, known
         call.run()
-        return self._checked_nis(call.nis.copy(), gate, call.nonlinearity)
+        return self._checked_nis(nis.copy(), gate, nonlinearity)
 
     def update_attitude(
         self, measured: ArrayLike, sigma: ArrayLike, *, gate: float | None = None
@@ -310,12 +301,13 @@ class Estimates:
         """
         shapes = f"(4,) or ({len(self._q)}, 4)"
         rows = checks.attitudes("measured", measured, shapes, flag=self._skips)
-        call = self._call("attitude")
-        call.shared[:] = largest_square(gate), *attitude_covariance(sigma)[np.triu_indices(3)]
+        call = self._operation("attitude")
+        (attitudes, shared), (nis, nonlinearity) = call.inputs, call.outputs
+        shared[:] = largest_square(gate), *attitude_covariance(sigma)[np.triu_indices(3)]
         # a zero quaternion is not an attitude
-        call.own[:] = np.where((rows == 0.0).all(axis=-1, keepdims=True), np.nan, rows)
+        attitudes[:] = np.where((rows == 0.0).all(axis=-1, keepdims=True), np.nan, rows)
         call.run()
-        return self._checked_nis(call.nis.copy(), gate, call.nonlinearity)
+        return self._checked_nis(nis.copy(), gate, nonlinearity)
 
     def _checked_nis(self, nis: Floats, gate: float | None, nonlinearity: Floats) -> Any:
         """NIS; refuses measurements without one, and warns of updates that are too nonlinear."""

@@ -109,9 +109,9 @@ class Preintegration:
         p = self.position + _times(self.position_gyro, gyro) + _times(self.position_accel, accel)
         return np.broadcast_to(q, (*v.shape[:-1], 4)), v, p
 
-    def _vectors(self, **given: ArrayLike) -> list[NDArray[Any]]:
+    def _vectors(self, **values: ArrayLike) -> list[NDArray[Any]]:
         """Vectors (3,) or (N, 3), for one log or each."""
-        vectors = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in given.items()}
+        vectors = {name: checks.array(name, x, "(3,) or (N, 3)") for name, x in values.items()}
         rows = {name: np.atleast_2d(x) for name, x in vectors.items()}
         common_number("logs", preintegrated=self.rows, **rows)
         return list(vectors.values())

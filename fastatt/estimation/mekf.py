@@ -114,6 +114,7 @@ class MEKF(Estimates):
         rates, h = self._vectors("gyro", gyro), interval(dt)
         good = np.isfinite(rates).all(axis=-1, keepdims=True) if self._skips else True
         np.copyto(self._gyro, rates, where=good)
-        call = self._call("predict", self._gyro)
-        call.shared[:] = h, *self._variances
+        call = self._operation("predict", self._gyro)
+        (shared,) = call.inputs
+        shared[:] = h, *self._variances
         call.run()

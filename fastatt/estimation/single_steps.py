@@ -223,9 +223,9 @@ def single_step(
     if checks.flag("position", position) and not scene.moves:
         raise ValueError("position: found True, but the scene has no mass; accepted: False")
     if scene.samplings or scene.switches:
-        found = "a sampled controller" if scene.samplings else "a Switch"
+        held = "a sampled controller" if scene.samplings else "a Switch"
         raise ValueError(
-            f"scene: found {found}; accepted: a scene without, with the numbers that your loop "
+            f"scene: found {held}; accepted: a scene without, with the numbers that your loop "
             "computes at such times among its params"
         )
     scalar = checks.precision(dtype)

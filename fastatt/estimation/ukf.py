@@ -132,8 +132,8 @@ class UKF(Estimates):
         The points are to move for some seconds at rates in the first auxiliary numbers.
         """
         n, size = self._P.shape[:2]
-        formula = spreading(size - 3)
-        call = self._bound("points", formula, [self._q, self._y, self._P.reshape(n, -1)])
+        state = [self._q, self._y, self._P.reshape(n, -1)]
+        call = self._bounds.get("points") or self._bound("points", spreading(size - 3), state)
         axes, shared = call.inputs
         axes[:] = np.linalg.eigh(self._P[:, :3, :3])[1].reshape(n, 9)
         shared[:] = math.sqrt(size + self._kappa), seconds
@@ -182,7 +182,7 @@ class UKF(Estimates):
         moved = moved_rows(motion, q.reshape(m, 4), y.reshape(m, size - 3))
         q, y = moved[0].reshape(q.shape), moved[1].reshape(y.shape)
         formula = rows(_about, {"q": 4, "mean": 4, "shift": 3}, (4, 3))
-        call = self._bound("mean", formula, [], m)
+        call = self._bounds.get("mean") or self._bound("mean", formula, [], n=m)
         of_points = [x.reshape(n, -1, x.shape[-1]) for x in (*call.inputs, *call.outputs)]
         moved_q, means, shifts, shifted, errors = of_points
         moved_q[:], means[:], shifts[:] = q, q[:, :1], 0.0

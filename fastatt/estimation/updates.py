@@ -412,8 +412,8 @@ def _by_attitude(q: Vector, y: Vector, P: Vector, measured: Vector, shared: Vect
     return _updated((q, y, rows), by_attitude(q, y, rows, measured, shared[1:]), shared)
 
 
-def _updated(before: Any, found: Any, shared: Vector) -> Any:
-    return (*_gated(before, found[:3], found[3], shared[0]), *found[3:])
+def _updated(before: Any, after: Any, shared: Vector) -> Any:
+    return (*_gated(before, after[:3], after[3], shared[0]), *after[3:])
 
 
 @_formula
@@ -433,11 +433,11 @@ _OPERATIONS: dict[str, Any] = {
 def operation(name: str, numbers: int) -> RowFunction:
     """An operation on filters with some auxiliary numbers: q, y, P, and two results of updates.
 
-    ``own`` are the numbers of each filter: a gyro sample, a vector and its reference, or an
+    ``each`` are the numbers of each filter: a gyro sample, a vector and its reference, or an
     attitude; ``shared`` those of all filters: the interval and variances, or the gate and
     variances.
     """
-    formula, own, shared, figures = _OPERATIONS[name]
+    formula, each, shared, figures = _OPERATIONS[name]
     state = {"q": 4, "y": numbers, "P": (3 + numbers) ** 2}
-    inputs = {**state, "own": own, "shared": shared}
+    inputs = {**state, "each": each, "shared": shared}
     return RowFunction(formula, inputs, (*state.values(), *figures))

@@ -63,18 +63,18 @@ class Coverage:
         return lines
 
 
-def coverage_of(found: Sequence[tuple[Search, Point]], tol: float, all_bodies: bool) -> Coverage:
+def coverage_of(searches: Sequence[tuple[Search, Point]], tol: float, all_bodies: bool) -> Coverage:
     """What is known of all bodies from searches, each on some of them."""
-    bodies, points = [search.whole.ensemble for search, _ in found], [x for _, x in found]
+    bodies, points = [search.whole.ensemble for search, _ in searches], [x for _, x in searches]
     size, beyond = sum(x.size for x in bodies), sum(x.beyond for x in points)
     # as many as if all groups were sampled as thinly as the thinnest
     random = min(point.random / x.size for point, x in zip(points, bodies, strict=True))
     worst, exceeding = max(points, key=lambda point: point.error).worst, None
     if all_bodies:
-        each = np.concatenate([search.by_halving(point) for search, point in found])
+        each = np.concatenate([search.by_halving(point) for search, point in searches])
         places = np.concatenate([x.places for x in bodies])
         worst, exceeding = int(places[np.argmax(each)]), int((each > tol).sum())
-    lost = [x.places[search.undetermined] for x, (search, _) in zip(bodies, found, strict=True)]
+    lost = [x.places[search.undetermined] for x, (search, _) in zip(bodies, searches, strict=True)]
     return Coverage(
         n_bodies=size, measured=sum(x.measured for x in points), worst_body=worst,
         exceeding_share=most_beyond(beyond, int(random * size), size), exceeding=exceeding,

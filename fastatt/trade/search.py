@@ -338,17 +338,17 @@ class Search:
         some = np.setdiff1d(some, np.append(self.rows, self.undetermined))
         for part in np.array_split(some, -(-some.size // 1024)) if some.size else ():
             known = self.known.of(self.whole.take(part), self.quantile)
-            found = self._errors(known, case, n)
-            lost = known.undetermined(np.flatnonzero(found > self.tol / _UNSEEN), self.tol)
+            of_part = self._errors(known, case, n)
+            lost = known.undetermined(np.flatnonzero(of_part > self.tol / _UNSEEN), self.tol)
             self.undetermined = np.union1d(self.undetermined, part[lost])
             rows.append(np.delete(part, lost))
-            errors.append(np.delete(found, lost))
-        each, found = np.concatenate(rows), np.concatenate(errors)
+            errors.append(np.delete(of_part, lost))
+        each, error = np.concatenate(rows), np.concatenate(errors)
         random = np.arange(size) if is_all else chance
-        beyond = np.append(each[found > self.tol], self.undetermined)
+        beyond = np.append(each[error > self.tol], self.undetermined)
         return Point(
-            case, n, top(found, self.quantile), each.size + self.undetermined.size,
-            worst=int(self.whole.ensemble.places[each[np.argmax(found)]]),
+            case, n, top(error, self.quantile), each.size + self.undetermined.size,
+            worst=int(self.whole.ensemble.places[each[np.argmax(error)]]),
             random=random.size, beyond=int(np.isin(beyond, random).sum()),
         )  # fmt: skip
 

@@ -71,9 +71,9 @@ def screen(rows: Sequence[Row], long: Sequence[Drifted]) -> str:
         best = {"any": [closed_form(group) for group in stored.values()]}
         for target in TARGETS:
             best[f"{target:.0e}"] = [fastest(group, target) for group in stored.values()]
-        for error, found in best.items():
-            if any(found):
-                cells = "     ".join(_cell(row, stored) for row in found)
+        for error, first in best.items():
+            if any(first):
+                cells = "     ".join(_cell(row, stored) for row in first)
                 lines.append(f"{scene:<8} {error:>7}  {cells}".rstrip())
     return "\n".join([*lines, *_drifts(long)])
 
