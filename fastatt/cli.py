@@ -245,9 +245,9 @@ def _integrate_one(arguments: argparse.Namespace, path: str, out: Path) -> None:
 
 
 def _trade(arguments: argparse.Namespace) -> None:
-    is_of_events = sys.stderr.isatty() and find_spec("tqdm") is not None
+    has_bar = sys.stderr.isatty() and find_spec("tqdm") is not None
     run_trade(
         arguments.out, scenes=arguments.scene or SCENES, methods=arguments.methods,
         n_bodies=arguments.bodies, quick=arguments.quick, verbose=arguments.verbose,
-        progress=is_of_events,
+        progress=has_bar,
     )  # fmt: skip

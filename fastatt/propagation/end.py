@@ -89,10 +89,10 @@ class End:
                 "events: found others than those of the run that is resumed; accepted: the same, "
                 "since bodies stop at terminal ones"
             )
-        for name, shape in shapes.items():
+        needed = shapes if self.options["events"] == events else {"states": shapes["states"]}
+        for name, shape in needed.items():
             array = self.arrays.get(name, np.zeros(0))
-            is_needed = name == "states" or self.options["events"] == events
-            if is_needed and (array.shape != shape or array.dtype.kind != "f"):
+            if array.shape != shape or array.dtype.kind != "f":
                 raise ValueError(
                     f"run: found {name} {array.shape} of {array.dtype}; accepted: floats {shape}"
                 )
