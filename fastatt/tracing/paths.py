@@ -26,58 +26,6 @@ from fastatt.tracing.signature import Signature
 from fastatt.tracing.unknown import Recorder, is_number, is_whole
 
 MOST_PATHS = 512
-#: what changes no number
-_NEUTRAL = {"iadd": 0.0, "isub": 0.0, "imul": 1.0, "itruediv": 1.0}
-
-
-def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
-    """``yes() if a op b else no()``; the choice of two numbers is no condition of the path."""
-    with contextlib.suppress(Exception):
-        return _either(op, a, b, yes, no)
-    return yes() if OPERATIONS[op].traced(a, b) else no()
-
-
-def _changed(op: str, a: Any, b: Any, change: str, old: Any, value: Callable[[], Any]) -> Any:
-    """``old`` after ``if a op b: old change= value()``; else 0 is added, or 1 a factor."""
-    in_place = getattr(operator, change)
-    with contextlib.suppress(Exception):
-        if type(old) is np.ndarray or (is_number(old) and not is_whole(old)):
-            none = lambda: np.full(np.shape(value()), _NEUTRAL[change])[()]  # noqa: E731
-            return in_place(old, _either(op, a, b, lambda: 1.0 * value(), none))
-    return in_place(old, value()) if OPERATIONS[op].traced(a, b) else old
-
-
-def _either(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
-    """Both values as one. Raises an error unless they are numbers that ask nothing."""
-    like = unknown_in(a, b)
-    if like is None or np.ndim(a) or np.ndim(b):
-        raise TraceError("a condition of known numbers, or of arrays")
-    recorder = like.recorder
-    test = recorder.add(op, recorder.number(a), recorder.number(b))
-    if test in recorder.answers:
-        raise TraceError("a condition of this path")
-    recorder.silent += 1
-    try:
-        values = yes(), no()
-    finally:
-        recorder.silent -= 1
-
-    def chosen(x: Any, y: Any) -> Any:
-        if not (is_number(x) and is_number(y) and is_whole(x) == is_whole(y)):
-            raise TraceError("a choice of other values than numbers")
-        return recorder.choice(test, x, y)
-
-    arrays = [x for x in values if isinstance(x, np.ndarray)]
-    if arrays and (len(arrays) == 1 or arrays[0].shape != arrays[1].shape):
-        raise TraceError("a choice of values of two shapes")
-    choice = each(chosen, *values) if arrays else chosen(*values)
-    if arrays:  # they may have other names
-        recorder.unchanged += [(x, x.copy()) for x in (choice, *values) if x.dtype == object]
-    recorder.chosen.add(test)
-    return choice
-
-
-_SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__changed__": _changed}
 
 
 class Followed(NamedTuple):
@@ -160,3 +108,60 @@ def _path(run: Callable[[], Any], recorder: Recorder, n_results: int, raised: An
     if recorder.texts:
         raise RefusedError("the text of a number")
     return results
+
+
+# choices in place of paths (``tracing.rewriting``)
+
+
+#: what changes no number
+_NEUTRAL = {"iadd": 0.0, "isub": 0.0, "imul": 1.0, "itruediv": 1.0}
+
+
+def _choose(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    """``yes() if a op b else no()``; the choice of two numbers is no condition of the path."""
+    with contextlib.suppress(Exception):
+        return _either(op, a, b, yes, no)
+    return yes() if OPERATIONS[op].traced(a, b) else no()
+
+
+def _changed(op: str, a: Any, b: Any, change: str, old: Any, value: Callable[[], Any]) -> Any:
+    """``old`` after ``if a op b: old change= value()``; else 0 is added, or 1 a factor."""
+    in_place = getattr(operator, change)
+    with contextlib.suppress(Exception):
+        if type(old) is np.ndarray or (is_number(old) and not is_whole(old)):
+            none = lambda: np.full(np.shape(value()), _NEUTRAL[change])[()]  # noqa: E731
+            return in_place(old, _either(op, a, b, lambda: 1.0 * value(), none))
+    return in_place(old, value()) if OPERATIONS[op].traced(a, b) else old
+
+
+def _either(op: str, a: Any, b: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    """Both values as one. Raises an error unless they are numbers that ask nothing."""
+    like = unknown_in(a, b)
+    if like is None or np.ndim(a) or np.ndim(b):
+        raise TraceError("a condition of known numbers, or of arrays")
+    recorder = like.recorder
+    test = recorder.add(op, recorder.number(a), recorder.number(b))
+    if test in recorder.answers:
+        raise TraceError("a condition of this path")
+    recorder.silent += 1
+    try:
+        values = yes(), no()
+    finally:
+        recorder.silent -= 1
+
+    def chosen(x: Any, y: Any) -> Any:
+        if not (is_number(x) and is_number(y) and is_whole(x) == is_whole(y)):
+            raise TraceError("a choice of other values than numbers")
+        return recorder.choice(test, x, y)
+
+    arrays = [x for x in values if isinstance(x, np.ndarray)]
+    if arrays and (len(arrays) == 1 or arrays[0].shape != arrays[1].shape):
+        raise TraceError("a choice of values of two shapes")
+    choice = each(chosen, *values) if arrays else chosen(*values)
+    if arrays:  # they may have other names
+        recorder.unchanged += [(x, x.copy()) for x in (choice, *values) if x.dtype == object]
+    recorder.chosen.add(test)
+    return choice
+
+
+_SCOPE: dict[str, Any] = {"__builtins__": BUILTINS, "__choose__": _choose, "__changed__": _changed}

@@ -26,28 +26,27 @@ from fastatt.tracing.replacements import replaced
 from fastatt.tracing.rewriting import rewritten
 
 
-def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
-    if not isinstance(test, (graph.Condition, Recorded)):
-        return yes() if test else no()
-    return graph.choose(test, yes(), no())
+def traceable(function: Any) -> Callable[..., Any]:
+    """A function for traced numbers, with the values of its names of now.
+
+    Raises ``TraceError`` when it is called, if the function can't be traced. The message says why,
+    and in which line of which file.
+    """
+    if isinstance(function, functools.partial):
+        named = function.keywords
+        return functools.partial(traceable(function.func), *function.args, **named)
+    if isinstance(function, types.MethodType):
+        return types.MethodType(traceable(function.__func__), function.__self__)
+    function = plain(function)
+    if not isinstance(function, types.FunctionType):
+        raise TraceError(f"{function!r}, which is no Python function")
+    frozen = Freezer(stand_in, _SCOPE, _code).function(function)
+    return lambda *args, **named: guarded(function, lambda: frozen(*args, **named))
 
 
-_EXTREMES = {op: OPERATIONS[op].traced for op in ("min", "max")}
-_SCOPE = {
-    "__builtins__": {**vars(builtins), "type": own_type_of, **_EXTREMES},
-    "__choose__": _choose,
-}
-
-
-class Traceable:
-    """A module with its functions for traced numbers; it is imported when one is first used."""
-
-    def __init__(self, module: str) -> None:
-        self._module = module
-
-    def __getattr__(self, name: str) -> Any:
-        value = self.__dict__[name] = stand_in(getattr(import_module(self._module), name))
-        return value
+def _code(function: types.FunctionType) -> types.CodeType:
+    check(function, texts=False)
+    return rewritten(function.__code__) or function.__code__
 
 
 def stand_in(value: Any) -> Any:
@@ -72,27 +71,28 @@ def _lazily(function: Any) -> Callable[..., Any]:
     return call
 
 
-def traceable(function: Any) -> Callable[..., Any]:
-    """A function for traced numbers, with the values of its names of now.
+class Traceable:
+    """A module with its functions for traced numbers; it is imported when one is first used."""
 
-    Raises ``TraceError`` when it is called, if the function can't be traced. The message says why,
-    and in which line of which file.
-    """
-    if isinstance(function, functools.partial):
-        named = function.keywords
-        return functools.partial(traceable(function.func), *function.args, **named)
-    if isinstance(function, types.MethodType):
-        return types.MethodType(traceable(function.__func__), function.__self__)
-    function = plain(function)
-    if not isinstance(function, types.FunctionType):
-        raise TraceError(f"{function!r}, which is no Python function")
-    frozen = Freezer(stand_in, _SCOPE, _code).function(function)
-    return lambda *args, **named: guarded(function, lambda: frozen(*args, **named))
+    def __init__(self, module: str) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        value = self.__dict__[name] = stand_in(getattr(import_module(self._module), name))
+        return value
 
 
-def _code(function: types.FunctionType) -> types.CodeType:
-    check(function, texts=False)
-    return rewritten(function.__code__) or function.__code__
+def _choose(test: Any, yes: Callable[[], Any], no: Callable[[], Any]) -> Any:
+    if not isinstance(test, (graph.Condition, Recorded)):
+        return yes() if test else no()
+    return graph.choose(test, yes(), no())
+
+
+_EXTREMES = {op: OPERATIONS[op].traced for op in ("min", "max")}
+_SCOPE = {
+    "__builtins__": {**vars(builtins), "type": own_type_of, **_EXTREMES},
+    "__choose__": _choose,
+}
 
 
 KERNELS.update((kernel.__name__, stand_in(kernel)) for kernel in (trig.sincos, trig.atan2))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import fastatt.tracing.trace  # noqa: F401  # the kernels of some operations
 from fastatt import checks
 from fastatt._cached import cached_property
 from fastatt.tracing import frozen, graph, trial
