@@ -7,6 +7,29 @@ from fastatt.tracing.finished import Constants, Flat
 from fastatt.tracing.graph import Graph
 from fastatt.tracing.source import function
 
+FUSED = {
+    "fma": (lambda x, y, z: x * y + z, lambda x, y, z: z + x * y),
+    "fms": (lambda x, y, z: x * y - z, lambda x, y, z: -(x * y) - z),
+    "fnma": (lambda x, y, z: z - x * y,),
+}
+
+
+def test_a_product_fuses_with_the_only_sum_that_uses_it():
+    for op, formulas in FUSED.items():
+        for formula in formulas:
+            graph = Graph()
+            numbers = graph.inputs("double", "x", 3)
+            flat = Flat(graph, [formula(*numbers)], "double")
+            assert sum(node.op == op for node in flat.nodes) == 1
+            assert not {"*", "+", "-"} & {node.op for node in flat.nodes}
+            places = [k for _, k in flat.inputs()]
+            given = 0.5, 3.0, -4.0
+            assert function(flat)(*(given[k] for k in places)) == (formula(*given),)
+            product = numbers[0] * numbers[1]
+            apart = Flat(graph, [formula(*numbers), product], "double")
+            assert op not in {node.op for node in apart.nodes}
+
+
 # what a body's own numbers give alone is computed once
 
 
