@@ -27,6 +27,9 @@ from fastatt.tracing.graph import CLASSES, Double, apply, both, choose, either, 
 if TYPE_CHECKING:
     from fastatt.engine.job import Job, Scope
 
+#: crossings of a body that are kept of each event or switch, at most
+MOST_CROSSINGS = 1_000_000
+
 
 @dataclass(frozen=True)
 class Event:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fastatt.engine.division import Division
 from fastatt.engine.location import MarkedSteps, Points, crossings_within
+from fastatt.engine.marks import MOST_CROSSINGS
 from fastatt.engine.run import Run
 from fastatt.engine.status import FLAGS, Status
 from fastatt.engine.tape import Action, Piece, Tape, times_of
@@ -22,8 +23,6 @@ from fastatt.threads import in_threads
 
 Array = NDArray[Any]
 
-#: crossings of a body that are kept of each event or switch, at most
-MOST_CROSSINGS = 1_000_000
 # bodies that a thread performs again, at least
 _SOME = 1024
 # steps of the shortest piece

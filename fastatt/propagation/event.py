@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastatt import checks, rounding
-from fastatt.engine.marks import Event
-from fastatt.engine.run_with_events import MOST_CROSSINGS
+from fastatt.engine.marks import MOST_CROSSINGS, Event
 from fastatt.scene.models import Packing, names_in, parameters, readings, shown_in
 from fastatt.scene.scene import Scene
 from fastatt.tracing.signature import SIGNATURES

@@ -23,7 +23,6 @@ from fastatt.engine.job import Job
 from fastatt.engine.marks import Event
 from fastatt.engine.program import Program, program, width_for
 from fastatt.engine.run import Results, Run, Setup
-from fastatt.engine.run_with_events import RunWithEvents
 from fastatt.engine.status import FLAGS, Bounded, Status
 from fastatt.engine.tape import UNBROKEN, Piece, Steps
 from fastatt.propagation import closed_run, limits
@@ -272,10 +271,15 @@ class Plan:
             self.limits.warn_of_states(self.packed, start, t0)
         is_one = is_ring or len(takers) > 1 or kept is not None
         groups = self.schedule.groups(n, n if is_one else PART)
+        kind: Any = Run
+        if self._watched:  # else this module is not loaded
+            from fastatt.engine.run_with_events import RunWithEvents
+
+            kind = RunWithEvents
         for rows, h in groups:
             group, saved = results.of_bodies(rows), 0
             try:
-                run = (RunWithEvents if self._watched else Run)(
+                run = kind(
                     self.setup, self._steps(h, t0, kept, is_ring=is_ring), (start.q, start.y),
                     rows, group, t0, n_threads, kept,
                 )  # fmt: skip
@@ -291,7 +295,7 @@ class Plan:
                     results.leave(others)
                 raise InterruptedRun(output.so_far()) from None
             squares[rows] = run.squares
-            if isinstance(run, RunWithEvents):
+            if self._watched:
                 told[:, rows] = run.lost, run.overfull
             results.put(rows, group)
         if self.schedule.n_steps and not warned:
