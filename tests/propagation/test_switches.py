@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import fastatt as fa
 from fastatt.codegen import memory
 from fastatt.engine import run_with_events
+from fastatt.engine.run import Crossings
 
 MOMENTS, LAG = np.array([2.0, 1.5, 1.0]), -0.02
 RNG = np.random.default_rng(3)
@@ -287,7 +288,7 @@ def test_crossings_take_no_more_room_than_there_is(monkeypatch):
         run = fa.propagate(scene, q, **options)
     kept = run.crossings(event)
     np.testing.assert_array_equal(kept.t, whole.t[whole.t < 30.5])
-    monkeypatch.setattr(memory, "LITTLE", 5000)
+    monkeypatch.setattr(Crossings, "_checked", 5000)
     monkeypatch.setattr(memory, "available", lambda: 9000)
     with pytest.raises(MemoryError, match=r"^crossings: those so far take .* accepted: fewer bod"):
         fa.propagate(scene, q, **options)
