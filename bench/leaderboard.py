@@ -25,10 +25,10 @@ import numpy as np
 from leaderboard_contestants import OURS, PACKAGES, contestants, missing, our_loop
 from leaderboard_picture import picture
 from leaderboard_problems import MANY, ONE, PROBLEMS, Log, Problem
-from leaderboard_report import TARGETS, Row, page, ranking, read_rows, write_rows
+from leaderboard_report import TARGETS, Row, page, ranking, read_rows
 from leaderboard_solvers import Contestant, Run
 
-from fastatt.trade.measure import machine_line
+from fastatt.trade.measure import machine_line, to_csv
 from fastatt.trade.timing import ROUNDS, once, time_in_turns
 
 _LONGEST = 0.25  # seconds of a call, beyond which a ladder ends
@@ -259,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             new = measure(problem, packages, quick=options.quick, budget=options.budget)
             rows = [row for row in rows if row.problem != name] + new
             rows.sort(key=lambda row: list(PROBLEMS).index(row.problem))
-            write_rows(path, rows)
+            to_csv(path, rows)
     text = page(rows, f"One core of {machine_line()}.")
     folder = options.page or options.out
     (folder / "LEADERBOARD.md").write_text(text, encoding="utf-8")

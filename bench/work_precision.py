@@ -28,6 +28,7 @@ from leaderboard_problems import MANY, PROBLEMS
 from leaderboard_report import envelope
 from matplotlib.figure import Figure
 
+from fastatt.files import write_csv
 from fastatt.plots.drawing import save, styles_of
 from fastatt.trade.measure import processor_line
 from fastatt.trade.timing import ROUNDS
@@ -42,7 +43,6 @@ METHODS = {
 PEERS = {"heyoka": "Taylor", "CyRK": "DOP853", "scipy": "solve_ivp DOP853"}
 TITLES = {"coning-large": "prescribed rate", "top-triaxial": "torque"}
 _BUDGET = 25.0  # s of rounds, for each problem
-_FIELDS = ("problem", "title", "library", "method", "setting", "error_rad", "microseconds", "where")
 Row = dict[str, Any]
 
 
@@ -66,18 +66,6 @@ def measure(name: str, quick: bool) -> list[Row]:
         }
         for timed in found
     ]  # fmt: skip
-
-
-def read(path: Path) -> list[Row]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def write(rows: Sequence[Row], path: Path) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, _FIELDS)
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def picture(rows: Sequence[Row], path: Path) -> None:
@@ -120,8 +108,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.draw:
         quick = bool(os.environ.get("FASTATT_SMOKE"))
         with one_core():
-            write([row for name in METHODS for row in measure(name, quick)], path)
-    picture(read(path), (options.out or PICTURES) / "work_precision.png")
+            rows = [row for name in METHODS for row in measure(name, quick)]
+        write_csv("path", path, list(rows[0]), [list(row.values()) for row in rows])
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    picture(rows, (options.out or PICTURES) / "work_precision.png")
 
 
 if __name__ == "__main__":
