@@ -229,7 +229,8 @@ class Trajectory:
         ----------
         event : Event, int or str
             What ``fa.event(every=True)`` made, or its number among ``events``, by which a pickled
-            trajectory knows it; or the name of a ``torques.Switch``.
+            trajectory knows it; or the name of a ``torques.Switch``, or of a model that divides
+            steps, whose further signs have their number in ``s`` too: "wheels", "wheels.4".
 
         Returns
         -------
