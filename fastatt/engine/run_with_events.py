@@ -25,6 +25,8 @@ Array = NDArray[Any]
 
 # bodies that a thread performs again, at least
 _SOME = 1024
+# s for locating what is marked, however few bodies are
+_ROUND = 2e-3
 # steps of the shortest piece
 _LEAST = 64
 
@@ -74,16 +76,15 @@ class RunWithEvents(Run):
 
     def advance(self, piece: Piece) -> None:
         """Perform a piece, again until no body has a false alarm, or a step to divide."""
-        begun, rounds = self.states.copy(), 0
+        begun, rounds, seconds = self.states.copy(), 0, 0.0
         is_over = ~np.isnan(self.stopped)
         super().advance(piece)
         while (again := self._again(piece, begun, is_over)).size:
-            rounds += again.size
             self.states[again] = begun[again]
             parts = np.array_split(again, min(self.n_threads, -(-again.size // _SOME)))
             calls = [partial(self.perform, piece.tape, x, since=self.until[x]) for x in parts]
-            in_threads(calls, self.n_threads)
-        if 8 * rounds > len(begun):
+            rounds, seconds = rounds + 1, seconds + sum(in_threads(calls, self.n_threads))
+        if seconds > _ROUND * rounds:
             self._pace = max(self._pace // 4, _LEAST)  # fewer are performed again
         self._save(piece.tape)
         # the next piece counts its steps anew

@@ -52,7 +52,8 @@ class Status(IntFlag):
     JUMP : Status
         128: the torque of a built-in model jumped within a step, where the error of a
         ``QuaternionPD`` passed 180° or the speed of a wheel passed the range in which its Coulomb
-        friction changes its sign: the run has order 1.
+        friction changes its sign: the run has order 1. With ``divides=True`` these models divide
+        the step there.
     SLIDING : Status
         256: the function of a ``torques.Switch`` crossed zero without end within a step. The side
         follows the sign after whole steps from then on, which is of order 1.
