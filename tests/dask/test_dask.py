@@ -7,6 +7,7 @@ import os
 import signal
 import time
 import warnings
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -56,12 +57,17 @@ def _here():
         yield
 
 
+@contextmanager
+def workers(n):
+    """Their client; the dashboard has any port, for clusters of other processes."""
+    options = {"threads_per_worker": 1, "dashboard_address": ":0"}
+    with LocalCluster(n_workers=n, **options) as cluster, Client(cluster) as client:
+        yield client
+
+
 @pytest.fixture(scope="module")
 def client():
-    with (
-        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster,
-        Client(cluster) as client,
-    ):
+    with workers(1) as client:
         yield client
 
 
@@ -144,15 +150,15 @@ def kill_first(block, marker):
 
 
 @pytest.mark.slow
-def test_a_killed_worker_changes_nothing(client, tmp_path):
+def test_a_killed_worker_changes_nothing(tmp_path):
     marker = tmp_path / "died"
     q0 = da.from_array(Q0, chunks=(10, -1)).map_blocks(kill_first, marker, meta=Q0[:0])
-    before = set(client.scheduler_info(n_workers=-1)["workers"])
     lazy = fd.propagate(SHARED, q0, W0, **RK4)
-    with dask.config.set(scheduler=client):
+    with workers(2) as client, dask.config.set(scheduler=client):
+        before = set(client.scheduler_info(n_workers=-1)["workers"])
         found = dask.compute(lazy)[0]
+        assert before != set(client.scheduler_info(n_workers=-1)["workers"])
     assert marker.exists()
-    assert before != set(client.scheduler_info(n_workers=-1)["workers"])
     whole = fa.propagate(SHARED, Q0, W0, **RK4)
     assert same(found.q, whole.q)
     assert same(found.w, whole.w)
