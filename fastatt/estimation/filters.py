@@ -10,12 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fastatt import checks, rounding
-from fastatt.arrays import (
-    check_broadcast,
-    floats,
-    normalised,
-    on_rows,
-)
+from fastatt.arrays import check_broadcast, floats, normalised, on_rows
 from fastatt.codegen.rows import RowFunction
 from fastatt.estimation.amounts import (
     attitude_covariance,

@@ -11,11 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fastatt import checks
-from fastatt.arrays import (
-    normalised,
-    quat_to_dcm,
-    rotation_vector_to_quat,
-)
+from fastatt.arrays import normalised, quat_to_dcm, rotation_vector_to_quat
 from fastatt.codegen.rows import rows
 from fastatt.estimation.amounts import covariances, definite, largest_square
 from fastatt.estimation.filters import Estimates, Floats, normalised_square, turned

@@ -169,12 +169,7 @@ def cosine_sum(w0, w1, w2, w3):
     It serves hyperbolic cosines too.
     """
     F = type(w0)
-    return (
-        w0 - w1 - w2 + w3,
-        F(2.0) * (w1 - w2) - F(4.0) * w3,
-        F(4.0) * (w2 - w3),
-        F(8.0) * w3,
-    )
+    return (w0 - w1 - w2 + w3, F(2.0) * (w1 - w2) - F(4.0) * w3, F(4.0) * (w2 - w3), F(8.0) * w3)
 
 
 @kernel
@@ -184,12 +179,7 @@ def sine_sum(w0, w1, w2, w3):
     It serves hyperbolic sines too.
     """
     F = type(w0)
-    return (
-        w0 + w1 - w2 - w3,
-        F(2.0) * (w1 + w2) - F(4.0) * w3,
-        F(4.0) * (w2 + w3),
-        F(8.0) * w3,
-    )
+    return (w0 + w1 - w2 - w3, F(2.0) * (w1 + w2) - F(4.0) * w3, F(4.0) * (w2 + w3), F(8.0) * w3)
 
 
 @kernel

@@ -45,11 +45,7 @@ def noise_at_rest(h, angle_variance, bias_variance):
     q22 = bias_variance * h
     q12 = F(-0.5) * q22 * h
     q11 = F(1.0 / 3.0) * q22 * h * h + angle_variance * h
-    return (
-        (q11, o, o, q11, o, q11),
-        (q12, o, o, o, q12, o, o, o, q12),
-        (q22, o, o, q22, o, q22),
-    )
+    return ((q11, o, o, q11, o, q11), (q12, o, o, o, q12, o, o, o, q12), (q22, o, o, q22, o, q22))
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.methods.lie_group import lie_method
+from fastatt.methods.lie_group import body_step, lie_method
 from fastatt.tracing.formulas import Vector, axpy, dot, minus, plus, scale
 from fastatt.tracing.graph import larger
 
@@ -24,33 +24,21 @@ def turns(exponents: list[Vector], rates: list[Vector], h: Any) -> Any:
     return 4.0 * larger(dot(u, u), dot(v, v))
 
 
-def body(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+def body(slope: Any, t: Any, h: Any, m: Vector) -> Any:
     half = 0.5 * h
-    rotate = motion.plain.rotate
-    a = motion.attitude.value(motion.attitude_of(x))
-    m = motion.momentum_of(x)[:3]
-    k1 = motion.angular_velocity(m)
-    n1 = motion.momentum_rate(t, a, m)
-    a2 = rotate(a, scale(half, k1))
-    m2 = axpy(half, n1, m)
-    k2 = motion.angular_velocity(m2)
-    n2 = motion.momentum_rate(t + half, a2, m2)
+    k1, n1 = slope(t, (), m)
+    to_middle, m2 = scale(half, k1), axpy(half, n1, m)
+    k2, n2 = slope(t + half, (to_middle,), m2)
     m3 = axpy(half, n2, m)
-    k3 = motion.angular_velocity(m3)
-    n3 = motion.momentum_rate(t + half, rotate(a, scale(half, k2)), m3)
+    k3, n3 = slope(t + half, (scale(half, k2),), m3)
     m4 = axpy(h, n3, m)
-    k4 = motion.angular_velocity(m4)
-    a4 = rotate(a2, scale(h, axpy(-0.5, k1, k3)))
-    n4 = motion.momentum_rate(t + h, a4, m4)
+    k4, n4 = slope(t + h, (to_middle, scale(h, axpy(-0.5, k1, k3))), m4)
     # exp(h/12 (3, 2, 2, −1)) exp(h/12 (−1, 2, 2, 3))
     twelfth = 1.0 / 12.0 * h
     middle = scale(2.0, plus(k2, k3))
     u = scale(twelfth, minus(axpy(3.0, k1, middle), k4))
     v = scale(twelfth, minus(axpy(3.0, k4, middle), k1))
-    d = scale(1.0 / 6.0 * h, plus(axpy(2.0, plus(n2, n3), n1), n4))
-    end = motion.turned(motion.turned(motion.attitude_of(x), u), v)
-    momentum = motion.attitude.add_vector(motion.momentum_of(x), d)
-    return (*end, *momentum), turns([u, v], [], h)
+    return (u, v), scale(1.0 / 6.0 * h, plus(axpy(2.0, plus(n2, n3), n1), n4))
 
 
 METHOD = lie_method(
@@ -58,7 +46,7 @@ METHOD = lie_method(
     4,
     exponents,
     turns=turns,
-    body=body,
+    body=body_step(body, turns),
     rate_calls=2,
     body_calls=4,
     exponentials=2,

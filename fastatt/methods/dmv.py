@@ -57,11 +57,7 @@ def stage(motion: Any, t: Any, h: Any, k: Any, x: Vector, e: Vector) -> Any:
     turn, inverse = mv.rotation(c)
     a = motion.attitude.compose(motion.attitude_of(x), turn)
     f = 2.0 * inverse
-    d = (
-        f * kappa[0] * (c[1] * c[2]),
-        f * kappa[1] * (c[2] * c[0]),
-        f * kappa[2] * (c[0] * c[1]),
-    )
+    d = (f * kappa[0] * (c[1] * c[2]), f * kappa[1] * (c[2] * c[0]), f * kappa[2] * (c[0] * c[1]))
     # after a last change e Newton's iteration has the error e², below that of either order
     most = 1e-7 if isinstance(u[0], Single) else 1e-12
     z = choose(change < most, e[6], math.inf)

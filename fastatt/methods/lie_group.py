@@ -94,7 +94,9 @@ def lie_step(exponents: Callable[..., Any], turns: Callable[..., Any]) -> Callab
     return step
 
 
-def body_step(stages: Callable[..., Any]) -> Callable[..., Any]:
+def body_step(
+    stages: Callable[..., Any], turns: Callable[..., Any] = turn_of_sum
+) -> Callable[..., Any]:
     """The step of ``stages(slope, t, h, m) -> ((u1, u2, …), d)``, as in :func:`lie_group`."""
 
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
@@ -109,7 +111,7 @@ def body_step(stages: Callable[..., Any]) -> Callable[..., Any]:
         exponents = [tuple(u) for u in exponents]
         end = reduce(motion.turned, exponents, motion.attitude_of(x))
         momentum = motion.attitude.add_vector(motion.momentum_of(x), tuple(change))
-        return (*end, *momentum), turn_of_sum(exponents, rates, h)
+        return (*end, *momentum), turns(exponents, rates, h)
 
     return step
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastatt.methods.lie_group import lie_method
-from fastatt.tracing.formulas import Vector, axpy, dot, plus, scale, so3
-from fastatt.tracing.graph import larger
+from fastatt.methods.lie_group import body_step, lie_method
+from fastatt.tracing.formulas import Vector, axpy, plus, scale, so3
 
 
 def exponents(w: Any, t: Any, h: Any) -> Any:
@@ -19,33 +18,28 @@ def exponents(w: Any, t: Any, h: Any) -> Any:
     return (scale(1.0 / 6.0 * h, plus(axpy(2.0, plus(k2, k3), k1), k4)),)
 
 
-def body(motion: Any, t: Any, h: Any, x: Vector) -> Any:
+def body(slope: Any, t: Any, h: Any, m: Vector) -> Any:
     half = 0.5 * h
-    a = motion.attitude.value(motion.attitude_of(x))
-    m = motion.momentum_of(x)[:3]
 
-    def stage(at: Any, u: Vector, m: Vector) -> Any:
-        """(u̇, ṁ) of the rotation vector u from the attitude a, and of the momentum m."""
-        rate_of_m = motion.momentum_rate(at, motion.plain.rotate(a, u), m)
-        return so3.dexpinv_short(u, motion.angular_velocity(m)), rate_of_m
+    def stage(time: Any, u: Vector, m: Vector) -> Any:
+        """(u̇, ṁ) of the rotation vector u from the start, and of the momentum m."""
+        w, rate_of_m = slope(time, (u,), m)
+        return so3.dexpinv_short(u, w), rate_of_m
 
-    k1, n1 = motion.angular_velocity(m), motion.momentum_rate(t, a, m)
+    k1, n1 = slope(t, (), m)
     k2, n2 = stage(t + half, scale(half, k1), axpy(half, n1, m))
     k3, n3 = stage(t + half, scale(half, k2), axpy(half, n2, m))
     k4, n4 = stage(t + h, scale(h, k3), axpy(h, n3, m))
     sixth = 1.0 / 6.0 * h
     u = scale(sixth, plus(axpy(2.0, plus(k2, k3), k1), k4))
-    d = scale(sixth, plus(axpy(2.0, plus(n2, n3), n1), n4))
-    end = motion.turned(motion.attitude_of(x), u)
-    momentum = motion.attitude.add_vector(motion.momentum_of(x), d)
-    return (*end, *momentum), larger(dot(u, u), h * h * dot(k1, k1))
+    return (u,), scale(sixth, plus(axpy(2.0, plus(n2, n3), n1), n4))
 
 
 METHOD = lie_method(
     "rkmk4",
     4,
     exponents,
-    body=body,
+    body=body_step(body),
     rate_calls=3,
     body_calls=4,
     exponentials=1,

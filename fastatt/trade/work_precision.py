@@ -23,13 +23,7 @@ from fastatt.scene.scene import Scene
 from fastatt.threads import progress_bar
 from fastatt.trade import measure
 from fastatt.trade.measure import BRIEF, Case, Problem, Row, machine_line, table, with_times
-from fastatt.trade.reference import (
-    Reference,
-    confirmation,
-    largest_rotation,
-    reference,
-    speeds,
-)
+from fastatt.trade.reference import Reference, confirmation, largest_rotation, reference, speeds
 from fastatt.trade.summary import TARGETS, closed_form, fastest
 from fastatt.trade.timing import ROUNDS, time_in_turns
 
