@@ -74,8 +74,8 @@ def asking(motion: Any) -> tuple[Callable[[Any], Vector], list[Vector]]:
     """The rate as a function of the time, and a list of the rates that it has returned."""
     asked: list[Vector] = []
 
-    def rate(at: Any) -> Vector:
-        asked.append(motion.rate(at))
+    def rate(time: Any) -> Vector:
+        asked.append(motion.rate(time))
         return asked[-1]
 
     return rate, asked
@@ -102,10 +102,10 @@ def body_step(
     def step(motion: Any, t: Any, h: Any, x: Vector) -> Any:
         start, rates = motion.attitude.value(motion.attitude_of(x)), []
 
-        def slope(at: Any, exponents: Any, m: Any) -> tuple[Vector, Vector]:
+        def slope(time: Any, exponents: Any, m: Any) -> tuple[Vector, Vector]:
             attitude = reduce(motion.plain.rotate, map(tuple, exponents), start)
             rates.append(motion.angular_velocity(tuple(m)))
-            return rates[-1], motion.momentum_rate(at, attitude, tuple(m))
+            return rates[-1], motion.momentum_rate(time, attitude, tuple(m))
 
         exponents, change = stages(slope, t, h, motion.momentum_of(x)[:3])
         exponents = [tuple(u) for u in exponents]
@@ -174,8 +174,8 @@ def lie_group(
         ``math`` and the kernels of :mod:`fastatt.kernels`.
     body : callable, optional
         ``f(slope, t, h, m) -> ((u1, u2, …), d)`` for rigid bodies, followed too: the exponents, and
-        the change d of the momentum m along body axes, N·m·s. ``slope(at, (u1, …), m)`` returns the
-        angular velocity, rad/s, and dm/dt = m×w + τ, N·m, of a body with momentum m at a time,
+        the change d of the momentum m along body axes, N·m·s. ``slope(time, (u1, …), m)`` returns
+        the angular velocity, rad/s, and dm/dt = m×w + τ, N·m, of a body with momentum m at a time,
         after rotations by exponents from the start of the step, () for none.
     limit : float, default 1.0
         Largest ``|w| h`` of a step, rad; beyond it the status is ``STEP_TOO_LARGE``.
@@ -254,8 +254,8 @@ def _recorded(name: str, definition: Any) -> _Recorded:
     w, n, m = (graph.inputs("double", letter, 3) for letter in "wnm")
     asked: list[Any] = []
 
-    def rate(at: Any, *_: Any) -> Any:
-        asked.append(at)
+    def rate(time: Any, *_: Any) -> Any:
+        asked.append(time)
         return (w, n) if of_body else w
 
     try:
