@@ -125,3 +125,19 @@ def test_every_save_is_made_once():
         made = pieces(legs, (at, np.full(at.size, slack)), t0=t0, pace=1)
         slots = [x.tape["slot"][x.tape["action"] == Action.SAVE] for x in made]
         assert sorted(np.concatenate(slots)) == [*range(at.size)], (dt, t0, end, cuts)
+
+
+def test_saves_at_the_ends_of_steps_copy_no_tile():
+    """Rounding moves a save from the end of a step, a breakpoint or the end: it is still there."""
+    rng = np.random.default_rng(20261129)
+    eps = np.finfo(float).eps
+    for _ in range(2000):
+        n, dt = int(rng.integers(1, 12)), rng.uniform(0.01, 2.0) * rng.choice([1.0, -1.0])
+        end = (n - 1 + rng.uniform(0.01, 0.99) ** rng.integers(1, 40)) * dt
+        cuts = np.sort(rng.uniform(0.0, 1.0, rng.integers(0, 4)) * abs(end)) * math.copysign(
+            1.0, dt
+        )
+        ends = np.sort(np.abs(np.concatenate([np.arange(n) * dt, cuts, [end]])))
+        moved = ends * (1.0 + rng.integers(-7, 8, ends.size) * eps) * math.copysign(1.0, dt)
+        steps = Steps(legs_of(dt, n, breaks_at(*cuts), end), (moved, 16.0 * eps * np.abs(moved)))
+        assert not steps.forks
