@@ -72,8 +72,9 @@ class Scene:
         The force may read the states, as ``force(t, q, w, v, s, p)``.
     breakpoints : array_like of shape (B,), default ()
         Times, s, at which a rate, torque or force jumps or has a kink. Steps end there, so that the
-        method keeps its order. Those of tables in models and of ``rates.Slew`` are known. For times
-        of each body let the torque read a ``torques.Switch`` of ``t - p[0]``.
+        method keeps its order. Those of tables in models and of ``rates.Slew`` are known. All
+        bodies share them: for times (N, k) of each body give ``np.unique(times)``, each of which
+        costs all bodies a step, or let the torque read a ``torques.Switch`` of ``t - p[0]``.
 
     Attributes
     ----------
@@ -532,8 +533,8 @@ def as_scene(scene: object) -> Scene:
 def _breakpoints(value: Any) -> tuple[float, ...]:
     times = () if value is None else value
     accepted = (
-        "times (B,) of all bodies, s; for times of each body let the torque read the side of a "
-        "torques.Switch of t - p[0]"
+        "times (B,) of all bodies, s; for times of each body give np.unique(times), or let the "
+        "torque read the side of a torques.Switch of t - p[0]"
     )
     instants = checks.array("breakpoints", times, accepted, [(), (0,), (-1,)])
     return tuple(np.unique(instants.astype(np.float64)).tolist())

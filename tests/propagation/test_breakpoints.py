@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from each import each, slow
 from exact import body_motion
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from test_plan import bits
 
@@ -119,6 +120,20 @@ def test_without_breakpoints_and_in_single_precision():
     for options in ({}, {"save_at": [END]}):
         run = final(OPEN, dt=0.1, n_steps=50, method="rk8", dtype=np.float32, **options)
         assert angle(run.q[-1], BODY_END[:4]) < 5e-6
+
+
+def test_times_of_each_body_are_declared_together():
+    """Pulses about an axis of its own: the rate is the time that they last."""
+
+    def pulse_of(t, q, w, p):
+        return (1.0 if p[0] < t < p[1] else 0.0), 0.0, 0.0
+
+    times = np.random.default_rng(1).uniform(0.0, END, (20, 2)).cumsum(axis=1) / 2.0
+    scene = fa.Scene(
+        inertia=(1.0, 1.0, 1.0), torque=pulse_of, params=times, breakpoints=np.unique(times)
+    )
+    run = fa.propagate(scene, [START] * 20, np.zeros((20, 3)), dt=0.25, t_end=END, method="rk4")
+    assert_allclose(run.w[-1, :, 0], np.diff(times)[:, 0], rtol=1e-13)
 
 
 @pytest.mark.parametrize("scene", [OPEN, CLOSED, *RATES])
