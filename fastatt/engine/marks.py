@@ -47,6 +47,8 @@ class Event:
         The names of the terms whose numbers the function takes.
     every : bool
         Whether all its crossings are located.
+    source : Event or None
+        The event that users made, of one in a run.
     """
 
     #: a ``UserFunction`` in a run
@@ -55,7 +57,6 @@ class Event:
     terminal: bool = False
     reads: tuple[str, ...] = ()
     every: bool = False
-    #: what users made, with their function
     source: Event | None = field(default=None, compare=False, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
