@@ -221,7 +221,7 @@ class UKF(Estimates):
         period : float or array_like of shape (m,), optional
             Periods of measurements that are angles, such as 2π of a heading in rad, infinite for
             others. Differences between points, and from the measurement, are then the shortest
-            ones. Without it a heading near ±π is wrong by up to a whole turn.
+            ones. Without it a heading near ±π is wrong by up to a full rotation.
 
         Returns
         -------
@@ -275,8 +275,8 @@ def _wrapping(period: Any, m: int) -> Callable[[Any], Any]:
             f"period: found {checks.brief(period)}; accepted: a number above 0, or ({m},), "
             "infinite for what is no angle"
         )
-    turns = np.where(np.isinf(periods), 0.0, periods)
-    return lambda difference: difference - turns * np.rint(difference / periods)
+    finite = np.where(np.isinf(periods), 0.0, periods)
+    return lambda difference: difference - finite * np.rint(difference / periods)
 
 
 def _about(q: Vector, mean: Vector, shift: Vector) -> Any:

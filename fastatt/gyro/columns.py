@@ -82,7 +82,7 @@ FORMATS = (
     ),
 )
 
-# words beside that of a sensor: devices, their places on a body, and what was done to samples
+# words next to that of a sensor: devices, their places on a body, and what was done to samples
 _PLACES = (
     r"left|right|[lrsb]|upper|lower|fore|front|rear|back|head|neck|trunk|torso|chest|sternum|waist"
     r"|pelvis|hip|lumbar|sacrum|thigh|shank|shin|knee|ankle|foot|toe|heel|arm|wrist|hand|helmet"

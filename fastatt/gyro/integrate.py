@@ -46,7 +46,7 @@ def integrate_rates(
         are. Logs of unequal lengths are a list.
     dt : float or array_like
         The interval, s, or the intervals: (n - 1,) for rates at n times, (n,) for mean rates and
-        for increments; (N, n - 1) or (N, n) if N logs have intervals of their own; a number, or a
+        for increments; (N, n - 1) or (N, n) if N logs have different intervals; a number, or a
         list of the interval or intervals of each, for logs of unequal lengths. All are above 0.
         None for a log.
     q0 : array_like of shape (4,) or (N, 4), default (1, 0, 0, 0)
@@ -151,7 +151,7 @@ def _integrated(
 
 
 def _are_separate(rates: Any, dt: Any) -> bool:
-    """Whether logs have intervals of their own, or are a list, but for arrays of one length."""
+    """Whether logs have different intervals, or are a list, but for arrays of one length."""
     with suppress(ValueError, TypeError):  # of what is no array, which is refused later
         if isinstance(rates, (list, tuple)) and len(rates):
             if isinstance(rates[0], GyroLog):
@@ -166,7 +166,7 @@ def _are_separate(rates: Any, dt: Any) -> bool:
 def _of_each(
     rates: Any, dt: Any, q0: Any, out: Any, **options: Any
 ) -> NDArray[Any] | list[NDArray[Any]]:
-    """Attitudes of logs with intervals or lengths of their own, the same as of each alone."""
+    """Attitudes of logs with different intervals or lengths, the same as of each alone."""
     start = checks.attitudes("q0", q0)
     starts = start if start.ndim > 1 else [start] * len(rates)
     spans = dt if isinstance(dt, (list, tuple)) or np.ndim(dt) else [dt] * len(rates)

@@ -46,7 +46,7 @@ class Packing(NamedTuple):
     shown: Mapping[str, int] = MappingProxyType({})
 
     def size_of(self, label: str, name: str) -> int:
-        """How many numbers a name stands for; refuses one that no term has."""
+        """How many numbers a name has; refuses one that no term has."""
         if name not in self.shown:
             known = ", ".join(map(repr, self.shown))
             accepted = known or 'names of terms that show numbers, of torques.Sum({"name": term})'

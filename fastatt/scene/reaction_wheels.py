@@ -373,7 +373,7 @@ class _Driven(Torque):
     #: sample times of a command that is a function
     sampled: Sampling | None = None
     #: the number of wheels, whether steps are divided where their speeds change their signs, and
-    #: whether a step across such a change is told
+    #: whether a step across such a change is flagged
     count: int = 0
     divides: bool = False
     rubs: bool = False

@@ -1,4 +1,4 @@
-"""The bodies that advice was measured on, and what follows for the others."""
+"""What measurements of some bodies say about the error of all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _NAMED = 8  # bodies, at most, that the text names
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """The bodies that advice was measured on, and what follows for the others.
+    """What measurements of some bodies say about the errors of all.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Coverage:
 
 
 def coverage_of(searches: Sequence[tuple[Search, Point]], tol: float, all_bodies: bool) -> Coverage:
-    """What is known of all bodies from searches, each on some of them."""
+    """The errors and failures of all bodies, as far as searches on some of them show."""
     bodies, points = [search.whole.ensemble for search, _ in searches], [x for _, x in searches]
     size, beyond = sum(x.size for x in bodies), sum(x.beyond for x in points)
     # as many as if all groups were sampled as thinly as the thinnest
