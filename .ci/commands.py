@@ -57,6 +57,9 @@ def write_inputs(folder: Path) -> None:
     head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s]"
     np.savetxt(folder / "LOG.csv", table, delimiter=",", header=head, comments="")
     table[:, 0] *= 1e6
+    (folder / "FOLDER").mkdir()
+    for name in ("MONDAY.csv", "TUESDAY.csv"):
+        shutil.copy(folder / "LOG.csv", folder / name)
     head = "time,gyro_x,gyro_y,gyro_z"
     np.savetxt(folder / "no_units.csv", table, delimiter=",", header=head, comments="")
     (folder / "LOG.csv.gz").write_bytes(gzip.compress((folder / "LOG.csv").read_bytes()))

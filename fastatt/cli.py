@@ -208,7 +208,9 @@ def _integrate(arguments: argparse.Namespace) -> None:
     outs = [_output(arguments.out, log) for log in arguments.log]
     if len(set(outs)) < len(outs):
         twice = max(outs, key=outs.count)
-        raise ValueError(f"out: found {twice} for several logs; accepted: a file for each")
+        raise ValueError(
+            f"out: found {twice} for several logs; accepted: a file each, or an existing folder"
+        )
     refused = 0
     for log, out in zip(arguments.log, outs, strict=True):
         try:

@@ -108,8 +108,8 @@ def test_several_logs_and_other_sensors(log, tmp_path, capsys):
 @each(
     ("arguments", "message"),
     [
-        (["integrate", "{log}", "{log}"], "log.attitudes.csv for several logs; accepted: a file"),
-        (["integrate", "{log}", "b", "-o", "c.npy"], "--out: found c.npy for several logs"),
+        (["integrate", "{log}", "{log}"], "log.attitudes.csv for several logs"),
+        (["integrate", "{log}", "b", "-o", "c.npy"], "a file each, or an existing folder"),
         (["integrate", "none.csv"], "No such file or directory: none.csv"),
         (["integrate", "{log}", "-c", "a,b,c"], "--columns: found 'a'; accepted: 'Time (s)'"),
         (["integrate", "{log}", "-c", "1,2"], "accepted: 3 different columns"),
