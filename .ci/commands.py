@@ -30,7 +30,7 @@ ELSEWHERE = (
     ".ci/run", "make commands", "make docs", "make format", "make fuzz", "make layers",
     "make leaderboard", "make pythons",
     "make test", "make venv", "pip ", "pytest ",
-    "python bench/leaderboard.py", "python bench/method_table.py", "python bench/mutations.py",
+    "python bench/leaderboard.py", "python bench/mutations.py",
     "python bench/page_figures.py",
 )  # fmt: skip
 LIMIT = 900  # s, for a command that hangs

@@ -1,21 +1,21 @@
-"""The tables of the page of methods, from the ``trade.csv`` that ``fastatt trade`` leaves.
+"""The tables of the page of methods: errors at two step sizes, speed and operations of a step.
 
-python bench/method_table.py results/trade.csv coning samples    # the path, and the scenes
-python bench/method_table.py                                     # that of gyro-logs.md
+python bench/method_table.py coning samples         # and free top torqued, two minutes
+python bench/method_table.py                        # the table of gyro-logs.md
 """
 
 from __future__ import annotations
 
-import csv
+import os
 import sys
-from pathlib import Path
+from collections.abc import Collection
 
 import numpy as np
 
 import fastatt as fa
 from fastatt import METHODS
 from fastatt.propagation.inspect_step import job_of
-from fastatt.trade.ensembles import BODY_SCENES, SAMPLES, problem
+from fastatt.trade.ensembles import BODY_SCENES, SAMPLES, cases, problem, study
 from fastatt.trade.measure import machine_line
 
 # what the rows of an input are called
@@ -27,23 +27,7 @@ NAMES = {
     "torqued": "any torque",
 }
 STEPS = (0.2, 0.025)
-
-
-def ladders(path: Path) -> dict[tuple[str, str], list[dict[str, str]]]:
-    """Rows on quaternions in float64, by method and input."""
-    found: dict[tuple[str, str], list[dict[str, str]]] = {}
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            if (row["representation"], row["dtype"]) == ("quat", "float64"):
-                found.setdefault((row["method"], row["input"]), []).append(row)
-    return found
-
-
-def at(ladder: list[dict[str, str]], dt: float) -> dict[str, str] | None:
-    """The row of a step; that of the closed form, which has none, is its only one."""
-    if len(ladder) == 1:
-        return ladder[0]
-    return next((r for r in ladder if abs(float(r["dt"]) - dt) < 1e-9), None)
+BODIES = 64 if os.environ.get("FASTATT_SMOKE") else 4096
 
 
 def operations(name: str, source: str) -> int | None:
@@ -53,7 +37,7 @@ def operations(name: str, source: str) -> int | None:
     return job_of(problem(source, 2).ensemble.scene, name, "quat", "float64").operations
 
 
-def main(path: Path, *scenes: str) -> None:
+def main(*sources: str, n_bodies: int = BODIES, methods: Collection[str] = METHODS) -> None:
     """Print one line a method and input: error at two steps, speed at the smaller, summary once."""
     coarse, fine = STEPS
     print(
@@ -62,24 +46,25 @@ def main(path: Path, *scenes: str) -> None:
     )
     print("| --- " * 8 + "|")
     summaries = {name: method.summary for name, method in METHODS.items()}
-    for (name, source), ladder in ladders(path).items():
-        if scenes and source not in scenes:
-            continue
-        method = METHODS[name]
-        order = method.order_of(BODY_SCENES[source].kind) if source in BODY_SCENES else method.order
-        first, last = at(ladder, coarse), at(ladder, fine)
-        # a ladder may begin with smaller steps, or end with larger ones
-        errors = [f"{float(x['error_median']):.1e}" if x else "" for x in (first, last)]
-        last = last or ladder[-1]
-        speed = int(last["n_steps"]) / float(last["seconds_per_body"])
-        print(
-            f"| `{name}` | {NAMES.get(source, source)} | {order or 'exact'} "
-            f"| {errors[0]} | {errors[1]} | {speed / 1e6:.0f} "
-            f"| {operations(name, source) or ''} | {summaries.pop(name, '')} |"
-        )
+    for source in sources:
+        bodies = study(source, n_bodies)
+        steps = [round(bodies.problem.duration / dt) for dt in STEPS]
+        quats = [x for x in cases(source) if x.representation == "quat" and x.method in methods]
+        rows = bodies.timed({case: bodies.rows(case, steps) for case in quats})
+        for name in dict.fromkeys(row.method for row in rows):
+            ladder = [row for row in rows if row.method == name]
+            errors, last = [f"{row.error_median:.1e}" for row in ladder], ladder[-1]
+            method, speed = METHODS[name], last.n_steps / last.seconds_per_body
+            is_of_bodies = source in BODY_SCENES
+            order = method.order_of(BODY_SCENES[source].kind) if is_of_bodies else method.order
+            print(
+                f"| `{name}` | {NAMES[source]} | {order or 'exact'} | {errors[0]} | {errors[-1]} "
+                f"| {speed / 1e6:.0f} | {operations(name, source) or ''} "
+                f"| {summaries.pop(name, '')} |"
+            )
 
 
-def logs(n_logs: int = 60, seconds: float = 10.0, noise: float = 1e-3) -> None:
+def logs(n_logs: int = 60 if BODIES > 64 else 2, seconds: float = 10.0, noise: float = 1e-3) -> None:
     """Print mean and standard deviation, over logs, of the largest error of each method."""
     methods = ("previous", "trapezoid", "coning2", "picard")
     print(f"| motion, intervals | {' | '.join(methods)} |\n{'| --- ' * 5}|")
@@ -111,6 +96,6 @@ def logs(n_logs: int = 60, seconds: float = 10.0, noise: float = 1e-3) -> None:
 if __name__ == "__main__":
     if sys.argv[1:]:
         print(f"{machine_line()}\n")
-        main(Path(sys.argv[1]), *sys.argv[2:])
+        main(*sys.argv[1:])
     else:
         logs()
