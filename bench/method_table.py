@@ -27,7 +27,7 @@ NAMES = {
     "torqued": "any torque",
 }
 STEPS = (0.2, 0.025)
-BODIES = 64 if os.environ.get("FASTATT_SMOKE") else 4096
+BODIES, LOGS = (64, 2) if os.environ.get("FASTATT_SMOKE") else (4096, 60)
 
 
 def operations(name: str, source: str) -> int | None:
@@ -64,7 +64,7 @@ def main(*sources: str, n_bodies: int = BODIES, methods: Collection[str] = METHO
             )
 
 
-def logs(n_logs: int = 60 if BODIES > 64 else 2, seconds: float = 10.0, noise: float = 1e-3) -> None:
+def logs(n_logs: int = LOGS, seconds: float = 10.0, noise: float = 1e-3) -> None:
     """Print mean and standard deviation, over logs, of the largest error of each method."""
     methods = ("previous", "trapezoid", "coning2", "picard")
     print(f"| motion, intervals | {' | '.join(methods)} |\n{'| --- ' * 5}|")
