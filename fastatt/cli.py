@@ -227,8 +227,9 @@ def _integrate(arguments: argparse.Namespace) -> None:
 def _output(out: Path | None, log: str) -> Path:
     """The file for the attitudes of a log."""
     path = Path("log" if log == "-" else log.removesuffix(".gz"))
-    folder = out if out and out.is_dir() else path.parent
-    return out if out and folder != out else folder / f"{path.stem}.attitudes.csv"
+    if out and not out.is_dir():
+        return out
+    return (out or path.parent) / f"{path.stem}.attitudes.csv"
 
 
 def _integrate_one(arguments: argparse.Namespace, path: str, out: Path) -> None:

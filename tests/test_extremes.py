@@ -121,11 +121,12 @@ def test_a_rate_that_is_known_to_be_constant(method):
 @pytest.mark.parametrize("method", in_tiers(["rk4", "magnus4"], of("rate")))
 def test_cones_past_the_limit_are_wrong_but_for_their_status(method):
     """The flags hide nothing that would do without them."""
-    # at 3.6 rad gauss12 is wrong by 0.34 rad, not yet a tenth of the angle
-    for theta in (4.5, 5.5) if method == "gauss12" else (3.6, 4.5, 5.5):
+    for theta in (3.6, 4.5, 5.5):
         found = rates.coning(theta, n_steps=1)(Case(method))
         assert found.status.all()
-        assert Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+        # gauss12 is off by 0.34 rad at 3.6 rad, not yet by a tenth of the angle
+        is_wrong = Outcome(found.error, found.allowed, 0 * found.status).wrong.any()
+        assert is_wrong or (method == "gauss12" and theta == 3.6 and found.error.max() > 0.3)
 
 
 @pytest.mark.parametrize("method", in_tiers(["rk4", "dmv10"], of("free")))

@@ -209,7 +209,7 @@ class Output:
 
     @property
     def length(self) -> tuple[int, str]:
-        """How much a progress bar counts, and what: saves that are handed out or else steps."""
+        """How much a progress bar counts, and what: saves that a function takes, or else steps."""
         if self.is_ring:
             return self._times.size, "save"
         return self.results.status.size * self._schedule.n_steps, "step"
